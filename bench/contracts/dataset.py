@@ -1,0 +1,44 @@
+"""Contract of a data set: a sequence of rectified stereo pairs."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from bench.types import Map, Mask, StereoCamera, StereoFrame, Trajectory
+
+
+class Dataset(ABC):
+    """A sequence of rectified stereo frames, addressed by position 0 .. len-1.
+
+    The constructor reads the calibration and checks what it can without decoding images; it raises ``BenchError``
+    (what, where, what to do) before anything has been written.
+    """
+
+    label: str
+    """How tables call the sequence, for example ``"kitti/06"``."""
+    camera: StereoCamera
+    numbers: tuple[int, ...]
+    """Frame numbers as in the data set, strictly increasing; ``frame(i)`` has number ``numbers[i]``."""
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @abstractmethod
+    def frame(self, position: int) -> StereoFrame:
+        """Decode one frame. Called from a background thread."""
+
+    def ground_truth(self) -> Trajectory | None:
+        """Ground-truth poses of the left camera of the pair in use, for exactly ``self.numbers``, or None."""
+        return None
+
+    def lidar_depth(self, position: int) -> Map | None:
+        """LiDAR returns projected into the left image: (H, W) float32 metres, NaN where there is no return; or None."""
+        return None
+
+    def true_depth(self, position: int) -> Map | None:
+        """Exact dense depth (H, W) float32 metres where a data set knows it (NaN in the sky), else None."""
+        return None
+
+    def true_sky(self, position: int) -> Mask | None:
+        """Exact sky mask (H, W) where a data set knows it, else None."""
+        return None

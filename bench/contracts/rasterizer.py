@@ -1,0 +1,90 @@
+"""Contract of a rasterizer: Gaussians and a camera in, colour, depth and alpha out, and gradients back."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bench.types import Float, StereoCamera
+
+
+@dataclass(frozen=True)
+class PinholeView:
+    """A camera to render from: ``T_cam_world`` (4, 4) float64 world to camera, intrinsics in px, pixel centres at integers."""
+
+    T_cam_world: Float
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, camera: StereoCamera, T_world_cam: Float) -> PinholeView:
+        """The view of ``camera``'s intrinsics at pose ``T_world_cam``."""
+        return cls(
+            np.linalg.inv(T_world_cam), camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
+        )
+
+    def halved(self) -> PinholeView:
+        """The view whose pixels are the means of 2x2 blocks of this one (an odd last row or column is dropped)."""
+        return replace(
+            self,
+            fx=self.fx / 2,
+            fy=self.fy / 2,
+            cx=(self.cx - 0.5) / 2,
+            cy=(self.cy - 0.5) / 2,
+            width=self.width // 2,
+            height=self.height // 2,
+        )
+
+
+@dataclass
+class Rendered:
+    """One render: ``color`` (3, H, W), ``depth`` (H, W) = sum d alpha T in metres, ``alpha`` (H, W) = 1 - final transmittance.
+
+    Float32, not clamped, no background. ``context`` belongs to the rasterizer (for ``backward``).
+    """
+
+    color: Tensor
+    depth: Tensor
+    alpha: Tensor
+    context: Any = None
+
+
+@dataclass
+class Gradients:
+    """Gradients of a scalar loss: ``planes`` (14, N) like the parameters, ``touched`` (N,) bool = visible in this view,
+    ``twist`` (6,) float64 of the left perturbation p_cam -> exp(twist) p_cam (translation, rotation), or None."""
+
+    planes: Tensor
+    touched: Tensor
+    twist: Tensor | None
+
+
+class Rasterizer(ABC):
+    """Renders Gaussians by depth-sorted alpha blending (paper, Eqs. 2-4) with these thresholds, those of gsplat: nearest depth
+    0.2 m, 0.3 px^2 low-pass, alpha at least 1/255 and at most 0.999, a pixel ends before transmittance falls to 1e-4."""
+
+    device: torch.device
+
+    @abstractmethod
+    def render(self, planes: Tensor, view: PinholeView, differentiable: bool = True) -> Rendered:
+        """Render (14, N) parameters; ``differentiable=False`` where ``backward`` will not be called."""
+
+    @abstractmethod
+    def backward(
+        self,
+        rendered: Rendered,
+        grad_color: Tensor | None,
+        grad_depth: Tensor | None,
+        grad_alpha: Tensor | None,
+        pose: bool = False,
+    ) -> Gradients:
+        """Gradients of a loss from its gradients by the three images (None = zero). Once a render."""

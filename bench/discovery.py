@@ -1,0 +1,69 @@
+"""The three routes by which plugins come: files under ``plugins/``, installed packages, and folders named by the user."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import importlib.util
+import pkgutil
+import sys
+import traceback
+from collections.abc import Iterable
+from pathlib import Path
+
+import plugins as builtin_plugins
+from bench.errors import BenchError
+from bench.registry import broken_files
+
+ENTRY_POINT_GROUP = "bgs_bench.plugins"
+
+
+def load_plugins(folders: Iterable[str] = ()) -> None:
+    """Import every plugin; call it as often as you like, also first thing in a worker process.
+
+    ``folders`` are the user's own plugin folders (``plugins=[~/mine]``); every ``*.py`` directly in them is imported.
+    A file that fails to import is recorded in ``registry.broken_files`` with the reason and breaks nothing else, but two
+    plugins of the same name are an error (``BenchError``).
+    """
+    for module in pkgutil.walk_packages(builtin_plugins.__path__, "plugins."):
+        if not module.ispkg:
+            _import(module.name, module.name)
+    for entry in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP):
+        _import(entry.module, f"{entry.name} (installed package, {entry.module})")
+    for folder in folders:
+        _load_folder(Path(folder).expanduser())
+
+
+def _load_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        raise BenchError(f"plugins: the folder {folder} does not exist. Create it, or remove it from plugins=[...].")
+    for file in sorted(folder.resolve().glob("*.py")):
+        name = f"_user_plugins_{abs(hash(file.parent)):x}_{file.stem}"
+        if name in sys.modules:
+            continue
+        spec = importlib.util.spec_from_file_location(name, file)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        try:
+            spec.loader.exec_module(module)
+        except BenchError:
+            raise
+        except Exception as error:
+            del sys.modules[name]
+            _record(str(file), error)
+
+
+def _import(module: str, label: str) -> None:
+    try:
+        importlib.import_module(module)
+    except BenchError:
+        raise
+    except Exception as error:
+        _record(label, error)
+
+
+def _record(label: str, error: Exception) -> None:
+    where = traceback.extract_tb(error.__traceback__)
+    line = f" (line {where[-1].lineno} of {where[-1].filename})" if where else ""
+    broken_files[label] = f"{type(error).__name__}: {error}{line}"

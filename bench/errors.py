@@ -1,0 +1,30 @@
+"""The one exception a user sees as a plain sentence, and the did-you-mean part of it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class BenchError(Exception):
+    """Wrong input or configuration: the message says what, where, and what to do.
+
+    The command line prints it as one line and exits with code 2; no traceback.
+    """
+
+
+def did_you_mean(wrong: str, accepted: Iterable[str]) -> str:
+    """Return ``" Did you mean 'x'?"`` for the nearest accepted name, or an empty string."""
+    near = difflib.get_close_matches(wrong, list(accepted), n=1, cutoff=0.5)
+    return f" Did you mean '{near[0]}'?" if near else ""
+
+
+def require_choice(what: str, value: str, accepted: Iterable[str]) -> str:
+    """Return ``value`` if it is one of ``accepted``; raise a readable ``BenchError`` otherwise.
+
+    ``what`` names the setting as the user types it, for example ``"dataset.camera"``.
+    """
+    names = list(accepted)
+    if value not in names:
+        raise BenchError(f"{what}={value!r} is not one of {', '.join(names)}.{did_you_mean(str(value), names)}")
+    return value

@@ -1,0 +1,71 @@
+"""The parameters of a map of 3D Gaussians, and their names.
+
+All parameters live in one float32 tensor of shape (14, N), one row ("plane") a scalar parameter: so eight Gaussians
+load as one vector on the CPU, and one fused optimizer step updates everything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+MEAN = slice(0, 3)
+LOG_SCALE = slice(3, 6)
+QUATERNION = slice(6, 10)
+OPACITY_LOGIT = 10
+COLOR = slice(11, 14)
+PLANES = 14
+
+SH_C0 = 0.28209479177387814
+"""The constant spherical harmonic: colour = 0.5 + SH_C0 * coefficient, clamped at zero (as in 3DGS)."""
+
+
+def planes_from(means: Tensor, scales: Tensor, quaternions: Tensor, opacities: Tensor, colors: Tensor) -> Tensor:
+    """Parameters in readable units to the (14, N) tensor.
+
+    ``means`` (N, 3) metres in the world; ``scales`` (N, 3) standard deviations in metres; ``quaternions`` (N, 4) w, x, y, z,
+    any length but zero; ``opacities`` (N,) in (0, 1); ``colors`` (N, 3) RGB in [0, 1].
+    """
+    return torch.cat(
+        [
+            means.T,
+            scales.log().T,
+            quaternions.T,
+            torch.logit(opacities)[None],
+            ((colors - 0.5) / SH_C0).T,
+        ]
+    ).contiguous()
+
+
+@dataclass
+class NamedParameters:
+    """Readable views of a (14, N) tensor, activations applied: what other renderers and file formats expect."""
+
+    planes: Tensor
+
+    @property
+    def means(self) -> Tensor:
+        """(N, 3) metres, world frame."""
+        return self.planes[MEAN].T
+
+    @property
+    def scales(self) -> Tensor:
+        """(N, 3) standard deviations in metres."""
+        return self.planes[LOG_SCALE].T.exp()
+
+    @property
+    def quaternions(self) -> Tensor:
+        """(N, 4) w, x, y, z, unit length."""
+        return torch.nn.functional.normalize(self.planes[QUATERNION].T, dim=1)
+
+    @property
+    def opacities(self) -> Tensor:
+        """(N,) in (0, 1)."""
+        return torch.sigmoid(self.planes[OPACITY_LOGIT])
+
+    @property
+    def colors(self) -> Tensor:
+        """(N, 3) RGB, at least 0."""
+        return (0.5 + SH_C0 * self.planes[COLOR].T).clamp_min(0.0)

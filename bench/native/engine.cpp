@@ -1,0 +1,209 @@
+#include "engine.h"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstring>
+#include <new>
+
+namespace bgs {
+
+namespace {
+
+std::unique_ptr<ThreadPool>& pool_slot() {
+    // Leaked on purpose: joining threads while the interpreter shuts down can hang.
+    static auto* slot = new std::unique_ptr<ThreadPool>();
+    return *slot;
+}
+
+pid_t owner = 0;
+
+}  // namespace
+
+ThreadPool& pool() {
+    auto& slot = pool_slot();
+    if (slot && owner != getpid()) slot.release();  // after a fork the threads are gone; forget them
+    if (!slot) {
+        slot = std::make_unique<ThreadPool>(static_cast<int>(std::max(1u, std::thread::hardware_concurrency())));
+        owner = getpid();
+    }
+    return *slot;
+}
+
+void set_threads(int threads) {
+    if (threads != pool().threads()) pool().resize(threads);
+}
+
+const KernelTable& kernels() {
+#if defined(BGS_HAVE_AVX2)
+    static const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    if (avx2) return kernels_avx2;
+#endif
+    return kernels_baseline;
+}
+
+void Workspace::forward(const float* planes, size_t stride, int count, const View& view, float* color, float* depth, float* alpha) {
+    view_ = view, count_ = count, color_ = color, depth_ = depth, alpha_ = alpha;
+    tiles_x_ = (view.width + TILE_W - 1) / TILE_W, tiles_y_ = (view.height + TILE_H - 1) / TILE_H;
+    const int chunks = (count + CHUNK - 1) / CHUNK;
+    const KernelTable& k = kernels();
+    const ProjectArgs project{planes, stride, count, view, projected_.reserve(static_cast<size_t>(count)), chunk_counts_.reserve(static_cast<size_t>(chunks) + 1)};
+    pool().run(chunks, [&](int chunk) { k.project(project, chunk); });
+    sort_by_depth(chunks);
+    bin();
+    const RasterArgs raster{records_.data(), tile_start_.data(), tile_list_.data(), view.width, view.height, tiles_x_, tiles_y_, color, depth, alpha};
+    pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_forward(raster, tile); });
+}
+
+// Stable radix sort of the visible Gaussians by depth; equal depths keep the order of their ids.
+void Workspace::sort_by_depth(int chunks) {
+    constexpr int BITS = 11, RADIX = 1 << BITS;
+    int* starts = chunk_counts_.data();
+    int total = 0;
+    for (int c = 0; c < chunks; ++c) {
+        const int n = starts[c];
+        starts[c] = total;
+        total += n;
+    }
+    starts[chunks] = total;
+    visible_ = total;
+    const size_t n = static_cast<size_t>(total);
+    uint32_t *keys = keys_.reserve(n), *keys_other = keys_other_.reserve(n), *order = order_.reserve(n), *order_other = order_other_.reserve(n);
+    std::vector<std::array<uint32_t, RADIX>> histograms(3);
+    for (auto& h : histograms) h.fill(0);
+    size_t at = 0;
+    for (int c = 0; c < chunks; ++c) {
+        const Record* from = projected_.data() + static_cast<size_t>(c) * CHUNK;
+        for (int j = 0; j < starts[c + 1] - starts[c]; ++j, ++at) {
+            uint32_t key;  // the bits of a positive float sort like the float
+            std::memcpy(&key, &from[j].depth, sizeof key);
+            keys[at] = key;
+            order[at] = static_cast<uint32_t>(c * CHUNK + j);
+            ++histograms[0][key & (RADIX - 1)], ++histograms[1][(key >> BITS) & (RADIX - 1)], ++histograms[2][key >> (2 * BITS)];
+        }
+    }
+    for (int pass = 0; pass < 3; ++pass) {
+        auto& h = histograms[static_cast<size_t>(pass)];
+        uint32_t sum = 0;
+        for (auto& bucket : h) {
+            const uint32_t size = bucket;
+            bucket = sum;
+            sum += size;
+        }
+        const int shift = pass * BITS;
+        for (size_t j = 0; j < n; ++j) {
+            const uint32_t to = h[(keys[j] >> shift) & (RADIX - 1)]++;
+            keys_other[to] = keys[j], order_other[to] = order[j];
+        }
+        std::swap(keys, keys_other), std::swap(order, order_other);
+    }
+    Record* records = records_.reserve(n);
+    int32_t* rank = rank_.reserve(static_cast<size_t>(count_));
+    std::fill(rank, rank + count_, -1);
+    const Record* projected = projected_.data();
+    const int tasks = (total + CHUNK - 1) / CHUNK;
+    pool().run(tasks, [&](int task) {
+        const size_t end = std::min(n, static_cast<size_t>(task + 1) * CHUNK);
+        for (size_t j = static_cast<size_t>(task) * CHUNK; j < end; ++j) {
+            records[j] = projected[order[j]];
+            rank[records[j].id] = static_cast<int32_t>(j);
+        }
+    });
+}
+
+// Counting sort of (Gaussian, tile) pairs into tiles; within a tile the nearest come first.
+void Workspace::bin() {
+    const int tiles = tiles_x_ * tiles_y_, parts = pool().threads();
+    uint32_t* counts = bin_counts_.reserve(static_cast<size_t>(tiles) * parts);
+    uint32_t* start = tile_start_.reserve(static_cast<size_t>(tiles) + 1);
+    Record* records = records_.data();
+    const auto part_begin = [&](int part) { return static_cast<int>(static_cast<int64_t>(visible_) * part / parts); };
+    const auto each_tile = [&](const Record& r, auto&& visit) {
+        const int tx1 = (r.x1 - 1) / TILE_W, ty1 = (r.y1 - 1) / TILE_H;
+        for (int ty = r.y0 / TILE_H; ty <= ty1; ++ty)
+            for (int tx = r.x0 / TILE_W; tx <= tx1; ++tx) visit(ty * tiles_x_ + tx);
+    };
+    pool().run(parts, [&](int part) {
+        uint32_t* mine = counts + static_cast<size_t>(part) * tiles;
+        std::fill(mine, mine + tiles, 0u);
+        for (int j = part_begin(part); j < part_begin(part + 1); ++j) each_tile(records[j], [&](int tile) { ++mine[tile]; });
+    });
+    uint32_t sum = 0;
+    for (int tile = 0; tile < tiles; ++tile) {
+        start[tile] = sum;
+        for (int part = 0; part < parts; ++part) {
+            uint32_t& entry = counts[static_cast<size_t>(part) * tiles + tile];
+            const uint32_t size = entry;
+            entry = sum;
+            sum += size;
+        }
+    }
+    start[tiles] = sum;
+    slots_used_ = sum;
+    uint32_t* list = tile_list_.reserve(sum);
+    uint32_t slot = 0;
+    for (int j = 0; j < visible_; ++j) {
+        Record& r = records[j];
+        r.slot = slot;
+        slot += static_cast<uint32_t>(((r.x1 - 1) / TILE_W - r.x0 / TILE_W + 1) * ((r.y1 - 1) / TILE_H - r.y0 / TILE_H + 1));
+    }
+    pool().run(parts, [&](int part) {
+        uint32_t* mine = counts + static_cast<size_t>(part) * tiles;
+        for (int j = part_begin(part); j < part_begin(part + 1); ++j)
+            each_tile(records[j], [&](int tile) { list[mine[tile]++] = static_cast<uint32_t>(j); });
+    });
+}
+
+void Workspace::backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
+                         float* grads, size_t grads_stride, bool* touched, double* pose) {
+    const KernelTable& k = kernels();
+    float* slots = slots_.reserve(slots_used_ * SLOT);
+    const RasterArgs forward{records_.data(), tile_start_.data(), tile_list_.data(), view_.width, view_.height, tiles_x_, tiles_y_, color_, depth_, alpha_};
+    const RasterBackwardArgs raster{forward, grad_color, grad_depth, grad_alpha, slots};
+    pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_backward(raster, tile); });
+    const int chunks = (count_ + CHUNK - 1) / CHUNK;
+    double* sums = pose == nullptr ? nullptr : pose_.reserve(static_cast<size_t>(chunks) * 6);
+    const ProjectBackwardArgs project{planes, stride, count_, view_, records_.data(), rank_.data(), slots, grads, grads_stride, touched, sums};
+    pool().run(chunks, [&](int chunk) { k.project_backward(project, chunk); });
+    if (pose == nullptr) return;
+    std::fill(pose, pose + 6, 0.0);
+    for (int c = 0; c < chunks; ++c)
+        for (int j = 0; j < 6; ++j) pose[j] += sums[6 * c + j];
+}
+
+size_t Workspace::bytes() const {
+    return projected_.bytes() + records_.bytes() + chunk_counts_.bytes() + keys_.bytes() + keys_other_.bytes() + order_.bytes() +
+           order_other_.bytes() + tile_start_.bytes() + tile_list_.bytes() + bin_counts_.bytes() + rank_.bytes() + slots_.bytes() + pose_.bytes();
+}
+
+PhotometricResult photometric(PhotometricArgs args) {
+    args.band_height = 128;
+    const int tasks = args.channels * ((args.height + args.band_height - 1) / args.band_height);
+    std::vector<double> sums(static_cast<size_t>(tasks) * 2);
+    args.sums = sums.data();
+    const KernelTable& k = kernels();
+    pool().run(tasks, [&](int task) {
+        static thread_local Buffer<float> scratch;
+        k.photometric(args, task, scratch.reserve(photometric_scratch(args.width)));
+    });
+    PhotometricResult result{0, 0};
+    for (int t = 0; t < tasks; ++t) result.l1 += sums[2 * t], result.ssim += sums[2 * t + 1];
+    const double elements = static_cast<double>(args.width) * args.height * args.channels;
+    result.l1 /= elements, result.ssim /= elements;
+    return result;
+}
+
+void target_statistics(const float* target, float* mean, float* variance, int width, int height, int channels) {
+    const size_t plane = static_cast<size_t>(width) * height;
+    pool().run(channels, [&](int c) {
+        static thread_local Buffer<float> scratch;
+        kernels().target_statistics(target + c * plane, mean + c * plane, variance + c * plane, width, height, scratch.reserve(photometric_scratch(width)));
+    });
+}
+
+void adam(const AdamArgs& args) {
+    const KernelTable& k = kernels();
+    pool().run((args.count + CHUNK - 1) / CHUNK, [&](int chunk) { k.adam(args, chunk); });
+}
+
+}  // namespace bgs

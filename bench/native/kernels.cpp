@@ -1,0 +1,18 @@
+// The kernels, eight lanes wide. Compiled once for each instruction set; BGS_TABLE and BGS_ISA name the result.
+// Nothing here allocates, locks or calls into the C++ library: see vec8.h for why.
+#include "kernels.h"
+#include "vec8.h"
+
+namespace bgs {
+namespace {
+
+#include "kernels_project.inc"
+#include "kernels_raster.inc"
+#include "kernels_loss.inc"
+
+}  // namespace
+
+extern const KernelTable BGS_TABLE;
+const KernelTable BGS_TABLE = {BGS_ISA, project, raster_forward, raster_backward, project_backward, photometric, target_statistics, adam};
+
+}  // namespace bgs

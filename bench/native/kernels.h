@@ -1,0 +1,124 @@
+// What the kernel file offers, compiled once for each instruction set, and the plain data that it works on.
+//
+// Conventions: pixel (x, y) has its centre at integer coordinates (OpenCV); p_cam = R_cam_world p_world + t.
+// A Gaussian's parameters are rows ("planes") of one float32 array, so that eight Gaussians load as one vector.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace bgs {
+
+enum Plane { MEAN = 0, LOG_SCALE = 3, QUATERNION = 6, OPACITY_LOGIT = 10, COLOR = 11, PLANES = 14 };
+
+constexpr float SH_C0 = 0.28209479177387814f;   // colour = 0.5 + SH_C0 * c, clamped at 0 (degree 0)
+constexpr float NEAR = 0.2f;                    // metres; nearer Gaussians are skipped
+constexpr float BLUR = 0.3f;                    // px^2, added to the projected covariance (EWA low-pass)
+constexpr float ALPHA_MIN = 1.0f / 255.0f;
+constexpr float ALPHA_MAX = 0.999f;
+constexpr float T_MIN = 1e-4f;                  // a pixel stops before transmittance falls to this
+constexpr int TILE_W = 32, TILE_H = 16;
+constexpr int SLOT = 10;                        // sums a Gaussian collects in a tile: 6 moments, 3 colours, depth
+constexpr int CHUNK = 2048;                     // Gaussians of one projection task; a multiple of 8
+
+struct View {
+    float R[9], t[3];
+    float fx, fy, cx, cy;
+    int width, height;
+    float x_over_z_min, x_over_z_max, y_over_z_min, y_over_z_max;  // where the Jacobian is evaluated at most
+};
+
+// One visible Gaussian in image space: exactly one cache line.
+struct alignas(64) Record {
+    float x, y;              // projected centre, px
+    float a, b, c;           // a dx^2 + b dx dy + c dy^2 = -log2(exp(...)): the conic with log2(e)/2 folded in
+    float limit;             // log2(255 opacity): alpha >= 1/255 where the quadratic form is at most this
+    float opacity;
+    float color[3];
+    float depth;
+    int16_t x0, x1, y0, y1;  // half-open bounding box of alpha >= 1/255, clipped to the image
+    uint32_t slot;           // first of its private gradient slots, one a tile of the bounding box
+    uint32_t id;             // which Gaussian
+};
+static_assert(sizeof(Record) == 64, "a record is one cache line");
+
+struct ProjectArgs {
+    const float* planes;
+    size_t stride;
+    int count;
+    View view;
+    Record* records;    // chunk k writes from k * CHUNK on
+    int* chunk_counts;  // how many records chunk k wrote
+};
+
+struct RasterArgs {
+    const Record* records;
+    const uint32_t* tile_start;  // tiles + 1
+    const uint32_t* tile_list;   // ranks into records, nearest first within a tile
+    int width, height, tiles_x, tiles_y;
+    float *color, *depth, *alpha;  // planar (3, H, W), (H, W), (H, W)
+};
+
+struct RasterBackwardArgs {
+    RasterArgs forward;                              // its outputs are read
+    const float *grad_color, *grad_depth, *grad_alpha;  // null = zero
+    float* slots;
+};
+
+struct ProjectBackwardArgs {
+    const float* planes;
+    size_t stride;
+    int count;
+    View view;
+    const Record* records;
+    const int32_t* rank;   // of each Gaussian, -1 if not visible
+    const float* slots;
+    float* grads;          // planes like the parameters
+    size_t grads_stride;
+    bool* touched;         // per Gaussian: whether it was visible
+    double* pose;          // per chunk 6 sums (translation, rotation), or null
+};
+
+struct PhotometricArgs {
+    const float* image;    // planar (channels, H, W)
+    const float* target;
+    const float* target_mean;      // Gaussian-weighted local mean of the target, zero padded
+    const float* target_variance;  // likewise its local variance
+    float* grad;           // written; may be null
+    int width, height, channels;
+    float weight_l1, weight_ssim;  // of the mean absolute error and of 1 - mean SSIM
+    int band_height;
+    double* sums;          // per task: sum of |error|, sum of SSIM
+};
+
+struct AdamArgs {
+    float *params, *first, *second;
+    const float* grads;
+    size_t stride, grads_stride;
+    int count;
+    const bool* touched;   // only these are updated; null = all
+    const float* position_rate;  // per Gaussian factor on the rate of its position; null = 1
+    float rates[PLANES];
+    float beta1, beta2, epsilon, correction1, correction2;
+};
+
+struct KernelTable {
+    const char* name;
+    void (*project)(const ProjectArgs&, int chunk);
+    void (*raster_forward)(const RasterArgs&, int tile);
+    void (*raster_backward)(const RasterBackwardArgs&, int tile);
+    void (*project_backward)(const ProjectBackwardArgs&, int chunk);
+    void (*photometric)(const PhotometricArgs&, int task, float* scratch);
+    void (*target_statistics)(const float* target, float* mean, float* variance, int width, int height, float* scratch);
+    void (*adam)(const AdamArgs&, int chunk);
+};
+
+// floats of scratch that one photometric task needs
+inline size_t photometric_scratch(int width) { return static_cast<size_t>(width + 32) * (11 * 6 + 3); }
+
+extern const KernelTable kernels_baseline;
+#if defined(BGS_HAVE_AVX2)
+extern const KernelTable kernels_avx2;
+#endif
+
+}  // namespace bgs

@@ -1,0 +1,114 @@
+"""Register and look up plugins by kind and name.
+
+A plugin is a class with a frozen config dataclass beside it::
+
+    @dataclass(frozen=True)
+    class MyNetConfig(PluginConfig):
+        iterations: int = 32
+
+    @register("stereo", "my_net", config=MyNetConfig)
+    class MyNet(StereoBackbone):
+        ...
+
+The registered class is constructed as ``MyNet(config)``. Registering also puts the config into Hydra's ConfigStore, so
+``stereo=my_net stereo.iterations=16`` works on the command line without any YAML file.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, is_dataclass
+from typing import Any, TypeVar
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import OmegaConf
+
+from bench.errors import BenchError, did_you_mean
+
+KINDS = ("dataset", "stereo", "sky", "tracker", "keyframer", "mapper", "loss", "rasterizer", "evaluator")
+# Kinds of which one run uses several at once; each config lives under its own key, for example `loss.geo.weight`.
+SEVERAL_AT_ONCE = ("loss", "evaluator")
+
+
+@dataclass(frozen=True)
+class PluginConfig:
+    """Base of every plugin's config; ``name`` is filled in by the registry."""
+
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """One registered plugin: its class, its config class, the file that defines it and a one-line summary."""
+
+    kind: str
+    name: str
+    cls: type
+    config: type[PluginConfig]
+    file: str
+    summary: str
+
+    def unavailable_reason(self) -> str | None:
+        """Why the plugin can't run here (with the command that mends it), or None; asks ``cls.unavailable_reason()``."""
+        check = getattr(self.cls, "unavailable_reason", None)
+        return check() if check is not None else None
+
+
+_plugins: dict[tuple[str, str], Plugin] = {}
+# Plugin files that failed to import: file -> reason. Filled by discovery.
+broken_files: dict[str, str] = {}
+
+C = TypeVar("C", bound=type)
+
+
+def register(kind: str, name: str, config: type[PluginConfig] = PluginConfig) -> Callable[[C], C]:
+    """Class decorator that makes a plugin known under ``kind`` and ``name``; raises ``BenchError`` on a clash."""
+    if kind not in KINDS:
+        raise BenchError(f"Unknown plugin kind '{kind}'; the kinds are {', '.join(KINDS)}.{did_you_mean(kind, KINDS)}")
+    if not (is_dataclass(config) and issubclass(config, PluginConfig)):
+        raise BenchError(f"The config of {kind} plugin '{name}' must be a dataclass that derives from PluginConfig.")
+
+    def add(cls: C) -> C:
+        file = inspect.getfile(cls)
+        known = _plugins.get((kind, name))
+        if known is not None and known.file != file:
+            raise BenchError(
+                f"Two {kind} plugins are called '{name}': {known.file} and {file}. Rename one of them."
+            )
+        summary = (inspect.getdoc(cls) or "").split("\n", 1)[0]
+        _plugins[kind, name] = Plugin(kind, name, cls, config, file, summary)
+        ConfigStore.instance().store(
+            group=kind,
+            name=name,
+            node=OmegaConf.structured(config(name=name)),
+            package=f"{kind}.{name}" if kind in SEVERAL_AT_ONCE else kind,
+        )
+        return cls
+
+    return add
+
+
+def names(kind: str) -> list[str]:
+    """Sorted names of all registered plugins of a kind."""
+    return sorted(n for k, n in _plugins if k == kind)
+
+
+def lookup(kind: str, name: str) -> Plugin:
+    """The plugin, or a ``BenchError`` that lists the names there are and the nearest one."""
+    try:
+        return _plugins[kind, name]
+    except KeyError:
+        near = did_you_mean(name, names(kind))
+        blame = [f"{file} ({why})" for file, why in broken_files.items() if name in file]
+        hint = f" A file that may define it failed to import: {'; '.join(blame)}." if blame else ""
+        raise BenchError(f"Unknown {kind} '{name}'. Known: {', '.join(names(kind))}.{near}{hint}") from None
+
+
+def build(config: PluginConfig, kind: str) -> Any:
+    """Construct the plugin that ``config`` belongs to; raises ``BenchError`` if it can't run on this machine."""
+    plugin = lookup(kind, config.name)
+    reason = plugin.unavailable_reason()
+    if reason is not None:
+        raise BenchError(f"{kind}={config.name} can't run here: {reason}")
+    return plugin.cls(config)

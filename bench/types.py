@@ -1,0 +1,165 @@
+"""The data that flows between the stages: camera, frames, depth, poses, renders.
+
+Conventions, everywhere in the project: poses are ``T_world_cam`` (4x4, float64, camera to world, OpenCV axes:
+x right, y down, z forward) of the LEFT camera; lengths in metres, disparities in pixels, times in seconds;
+images are RGB uint8 (H, W, 3); depth and disparity maps are float32 (H, W) with NaN for "unknown".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Float = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+Map = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
+
+TrackingState = Literal["ok", "weak", "lost"]
+
+
+@dataclass(frozen=True)
+class StereoCamera:
+    """A rectified pinhole stereo pair; both cameras share the intrinsics.
+
+    ``right_position`` is the right camera's centre in the left camera's frame, in metres. Its x component is the
+    baseline; y and z are zero for an ideally rectified pair and millimetres for KITTI's colour pair.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    right_position: tuple[float, float, float]
+
+    @property
+    def baseline(self) -> float:
+        """Distance of the two centres along x, in metres."""
+        return self.right_position[0]
+
+    @property
+    def intrinsics(self) -> Float:
+        """The 3x3 matrix K."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def T_left_right(self) -> Float:
+        """4x4 pose of the right camera in the left camera's frame."""
+        T = np.eye(4)
+        T[:3, 3] = self.right_position
+        return T
+
+    def resized(self, width: int, height: int) -> StereoCamera:
+        """The same camera for images resized to ``width`` x ``height`` (pixel centres at integer coordinates)."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=(self.cx + 0.5) * sx - 0.5,
+            cy=(self.cy + 0.5) * sy - 0.5,
+        )
+
+
+@dataclass(frozen=True)
+class StereoFrame:
+    """One rectified pair. ``number`` is the frame's number in its data set, ``timestamp`` is in seconds."""
+
+    number: int
+    timestamp: float
+    left: Image
+    right: Image
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """Depth of the left image, in metres, NaN where unknown, (H, W) float32; ``source`` names the plugin."""
+
+    depth: Map
+    source: str
+
+    @property
+    def known(self) -> Mask:
+        """Boolean (H, W): where the depth is known."""
+        return np.isfinite(self.depth)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses of the left camera: ``T_world_cam`` (N, 4, 4) float64, frame numbers (N,), timestamps (N,) in seconds.
+
+    Frames without a pose (lost) are simply absent; the numbers say which are there.
+    """
+
+    T_world_cam: Float
+    numbers: npt.NDArray[np.int64]
+    timestamps: Float
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def pose_of(self, number: int) -> Float | None:
+        """The 4x4 pose of the frame with this number, or None if it has none."""
+        found = np.flatnonzero(self.numbers == number)
+        return self.T_world_cam[found[0]] if len(found) else None
+
+
+@dataclass(frozen=True)
+class TrackingResult:
+    """What a tracker says about one frame.
+
+    ``T_world_cam`` is None exactly when ``state`` is "lost". ``landmarks`` are ids of the map points observed in this
+    frame (int64, unique), or None from a tracker that has no features. ``reprojection_px`` is the RMS over inliers.
+    """
+
+    T_world_cam: Float | None
+    state: TrackingState
+    inliers: int = 0
+    reprojection_px: float = float("nan")
+    landmarks: npt.NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True)
+class KeyframeDecision:
+    """Whether the frame is a keyframe and why; ``window`` holds the frame numbers of the active keyframes, oldest first."""
+
+    is_keyframe: bool
+    reason: str
+    window: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """What the mapper gets: a frame, its stereo depth, its sky mask (True = sky, None without a segmenter), its pose."""
+
+    frame: StereoFrame
+    depth: DepthMap
+    sky: Mask | None
+    T_world_cam: Float
+
+
+@dataclass(frozen=True)
+class MappingReport:
+    """What the mapper says after a keyframe: PSNR of the newest keyframe in dB, loss terms by name, number of Gaussians."""
+
+    psnr_db: float
+    gaussians: int
+    iterations: int
+    losses: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RenderedView:
+    """A rendered image: colour (H, W, 3) float32 in [0, 1], ``depth`` = sum d a T (H, W) float32 in metres (not divided by
+    alpha), alpha (H, W) float32 in [0, 1]."""
+
+    color: npt.NDArray[np.float32]
+    depth: Map
+    alpha: Map

@@ -1,0 +1,71 @@
+"""The fast rasterizer on the CPU: the C++ core in ``bench/native``."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bench.contracts.rasterizer import Gradients, PinholeView, Rasterizer, Rendered
+from bench.errors import BenchError
+from bench.registry import PluginConfig, register
+
+
+@dataclass(frozen=True)
+class CpuRasterizerConfig(PluginConfig):
+    """``threads``: 0 = all cores. The result is the same, bit for bit, for any number."""
+
+    threads: int = 0
+
+
+@register("rasterizer", "cpu", config=CpuRasterizerConfig)
+class CpuRasterizer(Rasterizer):
+    """C++17 core, eight lanes wide, on all cores; the same bits for any number of threads."""
+
+    def __init__(self, config: CpuRasterizerConfig) -> None:
+        from bench import _native
+
+        if config.threads < 0:
+            raise BenchError(f"rasterizer.threads={config.threads} must be 0 (all cores) or a positive number.")
+        self.device = torch.device("cpu")
+        self._native = _native
+        _native.set_threads(config.threads or torch.get_num_threads())
+        self._free: list = []  # workspaces between uses
+
+    @classmethod
+    def unavailable_reason(cls) -> str | None:
+        """None, or why the core can't be loaded."""
+        if importlib.util.find_spec("bench._native") is None:
+            return "the C++ core is not built. Run: make install"
+        return None
+
+    def render(self, planes: Tensor, view: PinholeView, differentiable: bool = True) -> Rendered:
+        workspace = self._free.pop() if self._free else self._native.Workspace()
+        color = torch.empty(3, view.height, view.width)
+        depth, alpha = torch.empty(view.height, view.width), torch.empty(view.height, view.width)
+        workspace.forward(
+            planes, np.ascontiguousarray(view.T_cam_world), view.fx, view.fy, view.cx, view.cy, color, depth, alpha
+        )
+        if not differentiable:
+            self._free.append(workspace)
+            return Rendered(color, depth, alpha)
+        return Rendered(color, depth, alpha, (workspace, planes))
+
+    def backward(
+        self,
+        rendered: Rendered,
+        grad_color: Tensor | None,
+        grad_depth: Tensor | None,
+        grad_alpha: Tensor | None,
+        pose: bool = False,
+    ) -> Gradients:
+        workspace, planes = rendered.context
+        grads = torch.empty_like(planes)
+        touched = torch.empty(planes.shape[1], dtype=torch.bool)
+        twist = workspace.backward(planes, grad_color, grad_depth, grad_alpha, grads, touched, pose)
+        rendered.context = None
+        self._free.append(workspace)
+        return Gradients(grads, touched, torch.tensor(twist, dtype=torch.float64) if pose else None)

@@ -1,0 +1,86 @@
+"""The oracle: every pixel times every Gaussian, in float64 torch. For small scenes only."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bench.contracts.rasterizer import PinholeView
+from bench.mapping.gaussians import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, SH_C0
+from bench.registry import PluginConfig, register
+from bench.rendering.autograd import AutogradRasterizer, perturbed
+
+
+@register("rasterizer", "reference")
+class ReferenceRasterizer(AutogradRasterizer):
+    """Float64 torch rasterizer for small scenes, the oracle that the fast ones are tested against."""
+
+    dtype = torch.float64
+
+    def __init__(self, config: PluginConfig) -> None:
+        self.device = torch.device("cpu")
+
+    def splat(self, planes: Tensor, view: PinholeView, twist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        R, t = perturbed(torch.as_tensor(view.T_cam_world, dtype=planes.dtype), twist)
+        p_cam = planes[MEAN].T @ R.T + t
+        z = p_cam[:, 2]
+        near = z >= 0.2
+        safe_z = torch.where(near, z, torch.ones_like(z))
+        center = torch.stack([view.fx * p_cam[:, 0] / safe_z + view.cx, view.fy * p_cam[:, 1] / safe_z + view.cy], 1)
+        covariance = self._image_covariance(planes, R, p_cam, safe_z, view)
+        conic = torch.linalg.inv(covariance)
+        opacity = torch.sigmoid(planes[OPACITY_LOGIT])
+        color = (0.5 + SH_C0 * planes[COLOR]).clamp_min(0.0)
+        # Depth order as a float32 renderer sees it, ties by index.
+        order = torch.argsort(z.detach().float(), stable=True)
+        ys, xs = torch.meshgrid(torch.arange(view.height), torch.arange(view.width), indexing="ij")
+        pixels = torch.stack([xs, ys], -1).reshape(-1, 2).to(planes.dtype)
+        d = pixels[None] - center[order][:, None]
+        power = -0.5 * torch.einsum("npi,nij,npj->np", d, conic[order], d)
+        raw = opacity[order][:, None] * torch.exp(power)
+        shown = (raw >= 1.0 / 255.0) & near[order][:, None]
+        alpha = torch.where(shown, raw.clamp_max(0.999), torch.zeros_like(raw))
+        following = torch.cumprod(1.0 - alpha, 0)
+        before = torch.cat([torch.ones_like(following[:1]), following[:-1]])
+        weight = torch.where(following > 1e-4, alpha * before, torch.zeros_like(alpha))
+        shape = (view.height, view.width)
+        visible = torch.zeros(planes.shape[1], dtype=torch.bool)
+        visible[order] = shown.any(1)
+        return (
+            (color[:, order] @ weight).reshape(3, *shape),
+            (z[order] @ weight).reshape(shape),
+            weight.sum(0).reshape(shape),
+            visible,
+        )
+
+    def _image_covariance(self, planes: Tensor, R: Tensor, p_cam: Tensor, z: Tensor, view: PinholeView) -> Tensor:
+        """J W Sigma W^T J^T + 0.3 I, (N, 2, 2) px^2 (paper, Eq. 2)."""
+        w, x, y, q = torch.nn.functional.normalize(planes[QUATERNION], dim=0)
+        rotation = torch.stack(
+            [
+                torch.stack([1 - 2 * (y * y + q * q), 2 * (x * y - w * q), 2 * (x * q + w * y)], -1),
+                torch.stack([2 * (x * y + w * q), 1 - 2 * (x * x + q * q), 2 * (y * q - w * x)], -1),
+                torch.stack([2 * (x * q - w * y), 2 * (y * q + w * x), 1 - 2 * (x * x + y * y)], -1),
+            ],
+            -2,
+        )
+        M = rotation * planes[LOG_SCALE].T.exp()[:, None, :]
+        # The Jacobian is taken at most 15 % of the image beyond its borders, as in gsplat.
+        rx = (p_cam[:, 0] / z).clamp(
+            -((view.cx + 0.5) / view.fx + 0.15 * view.width / view.fx),
+            (view.width - view.cx - 0.5) / view.fx + 0.15 * view.width / view.fx,
+        )
+        ry = (p_cam[:, 1] / z).clamp(
+            -((view.cy + 0.5) / view.fy + 0.15 * view.height / view.fy),
+            (view.height - view.cy - 0.5) / view.fy + 0.15 * view.height / view.fy,
+        )
+        zero = torch.zeros_like(z)
+        J = torch.stack(
+            [
+                torch.stack([view.fx / z, zero, -view.fx * rx / z], -1),
+                torch.stack([zero, view.fy / z, -view.fy * ry / z], -1),
+            ],
+            -2,
+        )
+        A = J @ R @ M
+        return A @ A.transpose(1, 2) + 0.3 * torch.eye(2, dtype=planes.dtype)

@@ -1,0 +1,40 @@
+"""Fixtures shared by all tests: where the real data and the real weights are, and the plugins."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from bench.discovery import load_plugins
+
+
+def _folder_from(variable: str) -> Path:
+    value = os.environ.get(variable, "")
+    if not value or not Path(value).is_dir():
+        pytest.skip(f"{variable} is not set to an existing folder; see README, 'Tests with real data'")
+    return Path(value).resolve()
+
+
+@pytest.fixture(scope="session")
+def test_data() -> Path:
+    """The folder of real data-set samples (``BGS_TEST_DATA``)."""
+    return _folder_from("BGS_TEST_DATA")
+
+
+@pytest.fixture(scope="session")
+def kitti_root(test_data: Path) -> Path:
+    """A KITTI odometry root with samples of sequences 03 and 06."""
+    return test_data / "kitti_odometry"
+
+
+@pytest.fixture(scope="session")
+def weights_root() -> Path:
+    """The folder of real network weights (``BGS_WEIGHTS``)."""
+    return _folder_from("BGS_WEIGHTS")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _plugins() -> None:
+    load_plugins()
