@@ -1,0 +1,72 @@
+"""Contract of a loss term of mapping.
+
+Most authors write a pure function of the rendered images in plain torch and subclass ``TorchLoss``::
+
+    @register("loss", "my_term", config=MyConfig)
+    class MyTerm(TorchLoss):
+        def loss(self, color, depth, alpha, target):
+            return (alpha - 1.0).abs().mean()
+
+and switch it on with ``loss=[rgb,ssim,geo,my_term] loss.my_term.weight=0.1``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bench.contracts.rasterizer import Rendered
+from bench.mapping.target import Target
+from bench.registry import PluginConfig
+
+
+@dataclass(frozen=True)
+class LossConfig(PluginConfig):
+    """``weight`` multiplies the term in the sum that mapping minimises."""
+
+    weight: float = 1.0
+
+
+@dataclass
+class LossValue:
+    """A term's unweighted value and its unweighted gradients by the rendered images (None = zero)."""
+
+    value: float
+    grad_color: Tensor | None = None
+    grad_depth: Tensor | None = None
+    grad_alpha: Tensor | None = None
+
+
+class LossTerm(ABC):
+    """One term. ``photometric = (l1, ssim)`` says that the term is this mixture of mean L1 and 1 - mean SSIM of the colours;
+    all such terms of a run are computed in one fused pass and ``evaluate`` is not called."""
+
+    photometric: tuple[float, float] | None = None
+
+    def __init__(self, config: Any) -> None:
+        self.config = config
+
+    @abstractmethod
+    def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
+        """Value and gradients for one render."""
+
+
+class TorchLoss(LossTerm):
+    """A term written as a scalar torch function; autograd gives its gradients."""
+
+    @abstractmethod
+    def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
+        """Scalar loss of colour (3, H, W), depth (H, W) in metres (sum d a T), alpha (H, W)."""
+
+    def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
+        leaves = [image.detach().requires_grad_() for image in (rendered.color, rendered.depth, rendered.alpha)]
+        with torch.enable_grad():
+            value = self.loss(leaves[0], leaves[1], leaves[2], target)
+        if not value.requires_grad:
+            return LossValue(float(value))
+        grads = torch.autograd.grad(value, leaves, allow_unused=True)
+        return LossValue(float(value.detach()), *grads)

@@ -1,0 +1,44 @@
+"""Contract of a mapper: keyframes in, a map that can be rendered out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+
+from bench.contracts.loss import LossTerm
+from bench.contracts.rasterizer import PinholeView, Rasterizer
+from bench.types import Keyframe, MappingReport, RenderedView, StereoCamera, Trajectory
+
+
+class Mapper(ABC):
+    """Builds the map from keyframes. It never sees a held-out frame or, unless it says so, a right image."""
+
+    @abstractmethod
+    def start(self, camera: StereoCamera, rasterizer: Rasterizer, losses: Sequence[LossTerm], seed: int) -> None:
+        """Called once before the first keyframe; all randomness comes from ``seed``."""
+
+    @abstractmethod
+    def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
+        """Learn from a new keyframe. ``window`` holds the numbers of the active keyframes, the new one included."""
+
+    @abstractmethod
+    def update_poses(self, trajectory: Trajectory) -> None:
+        """The tracker's current poses; a mapper takes over those of the keyframes that it holds."""
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Called once after the last keyframe, before the map is rendered and saved."""
+
+    @abstractmethod
+    def render(self, view: PinholeView) -> RenderedView:
+        """The map as seen from a view, as numpy arrays."""
+
+    @property
+    @abstractmethod
+    def gaussians(self) -> int:
+        """Number of Gaussians in the map."""
+
+    @abstractmethod
+    def save(self, path: Path) -> None:
+        """Write the map to ``path`` (PLY in the standard 3DGS layout for Gaussian maps)."""

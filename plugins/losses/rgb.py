@@ -1,0 +1,28 @@
+"""L1 colour loss (paper, Eq. 14, first term)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from bench.contracts.loss import LossConfig, TorchLoss
+from bench.mapping.target import Target
+from bench.registry import register
+
+
+@dataclass(frozen=True)
+class RgbConfig(LossConfig):
+    """The paper's lambda_rgb."""
+
+    weight: float = 0.8
+
+
+@register("loss", "rgb", config=RgbConfig)
+class RgbLoss(TorchLoss):
+    """Mean absolute colour error (paper, Eq. 14)."""
+
+    photometric = (1.0, 0.0)
+
+    def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
+        return (color - target.image).abs().mean()

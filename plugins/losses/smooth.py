@@ -1,0 +1,45 @@
+"""Smoothness loss on the rendered normals (paper, Eq. 18)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from bench.contracts.loss import LossConfig, TorchLoss
+from bench.errors import BenchError
+from bench.geometry.normals import normals_from_depth
+from bench.mapping.target import Target
+from bench.registry import register
+from plugins.losses.normal import COVERED
+
+
+@dataclass(frozen=True)
+class SmoothConfig(LossConfig):
+    """``distances``: the neighbours r over which the paper sums."""
+
+    weight: float = 0.5
+    distances: tuple[int, ...] = (1,)
+
+
+@register("loss", "smooth", config=SmoothConfig)
+class SmoothLoss(TorchLoss):
+    """Norm of the differences of rendered normals to the neighbours below and to the right, over valid depth values."""
+
+    def __init__(self, config: SmoothConfig) -> None:
+        super().__init__(config)
+        if not config.distances or min(config.distances) < 1:
+            raise BenchError(f"loss.smooth.distances={list(config.distances)} must hold positive pixel distances.")
+
+    def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
+        normal, valid = normals_from_depth(depth, alpha.detach() > COVERED, target.view)
+        total = depth.new_zeros(())
+        for r in self.config.distances:
+            for axis in (1, 2):
+                size = normal.shape[axis] - r
+                here, there = normal.narrow(axis, 0, size), normal.narrow(axis, r, size)
+                both = valid.narrow(axis - 1, 0, size) & valid.narrow(axis - 1, r, size)
+                # The small constant keeps the gradient of the norm finite where two normals are equal.
+                total = total + (torch.sqrt(((there - here) ** 2).sum(0) + 1e-12) * both).sum()
+        return total / torch.clamp(valid.sum(), min=1)

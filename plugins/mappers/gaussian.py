@@ -1,0 +1,185 @@
+"""The mapping of BGS-SLAM: Gaussians seeded from stereo depth and optimised over a window of keyframes."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from bench.contracts.loss import LossTerm
+from bench.contracts.mapper import Mapper
+from bench.contracts.rasterizer import PinholeView, Rasterizer
+from bench.errors import BenchError
+from bench.mapping.gaussians import OPACITY_LOGIT, PLANES
+from bench.mapping.loss_stack import LossStack
+from bench.mapping.optimizer import LearningRates, MapOptimizer
+from bench.mapping.ply import write_ply
+from bench.mapping.seeding import SeedConfig, seed_gaussians
+from bench.mapping.target import Target, target_of
+from bench.registry import PluginConfig, register
+from bench.types import Keyframe, MappingReport, RenderedView, StereoCamera, Trajectory
+
+
+@dataclass(frozen=True)
+class GaussianMapperConfig(PluginConfig):
+    """Settings of mapping; the defaults are those of ``system=bgs_slam`` (see METHOD in the README for the paper's).
+
+    ``iterations``: rendered views a keyframe; ``final_iterations``: over all keyframes at the end. ``coarse_share``: the
+    first part of the iterations runs at half resolution. A view is the newest keyframe with probability ``newest_share``,
+    one of the window with ``window_share``, else an older one. ``*_rate``: Adam's rates (colour, rotation, scale,
+    opacity: the paper's, "Implementation Details"; position: metres a metre of depth). ``prune_opacity``: the paper's
+    removal threshold. ``depth_range_m``: stereo depth outside neither seeds nor supervises. ``cached_targets``: how many
+    keyframes keep their derived images in memory.
+    """
+
+    iterations: int = 60
+    final_iterations: int = 0
+    coarse_share: float = 0.4
+    newest_share: float = 0.4
+    window_share: float = 0.45
+    position_rate: float = 1e-4
+    color_rate: float = 1e-2
+    opacity_rate: float = 5e-2
+    scale_rate: float = 5e-3
+    rotation_rate: float = 1e-3
+    prune_opacity: float = 5e-3
+    depth_range_m: tuple[float, float] = (0.5, 80.0)
+    cached_targets: int = 12
+    seed: SeedConfig = field(default_factory=SeedConfig)
+
+    def check(self) -> None:
+        """Raise ``BenchError`` for settings that make no sense."""
+        if self.iterations < 1 or self.final_iterations < 0:
+            raise BenchError("mapper.iterations must be at least 1 and mapper.final_iterations at least 0.")
+        if min(self.newest_share, self.window_share) < 0 or self.newest_share + self.window_share > 1:
+            raise BenchError("mapper.newest_share + mapper.window_share must lie between 0 and 1; the rest is older views.")
+        if not 0 < self.depth_range_m[0] < self.depth_range_m[1]:
+            raise BenchError(f"mapper.depth_range_m={list(self.depth_range_m)} must be [near, far] with 0 < near < far.")
+        if self.seed.stride < 1:
+            raise BenchError(f"mapper.seed.stride={self.seed.stride} must be at least 1.")
+
+
+@register("mapper", "gaussian", config=GaussianMapperConfig)
+class GaussianMapper(Mapper):
+    """BGS-SLAM's mapping: seeds from stereo depth, the loss terms of the run, a window of keyframes plus replay."""
+
+    def __init__(self, config: GaussianMapperConfig) -> None:
+        config.check()
+        self.config = config
+
+    def start(self, camera: StereoCamera, rasterizer: Rasterizer, losses: Sequence[LossTerm], seed: int) -> None:
+        c = self.config
+        self._camera, self._rasterizer, self._losses = camera, rasterizer, LossStack(losses)
+        self._random = np.random.default_rng(seed)
+        device = rasterizer.device
+        rates = LearningRates(c.position_rate, c.color_rate, c.opacity_rate, c.scale_rate, c.rotation_rate)
+        self._optimizer = MapOptimizer(rates, device)
+        self._planes = torch.zeros(PLANES, 0, device=device)
+        self._birth_depth = torch.zeros(0, device=device)
+        self._keyframes: dict[int, Keyframe] = {}
+        self._targets: OrderedDict[int, tuple[Target, Target]] = OrderedDict()
+
+    @property
+    def gaussians(self) -> int:
+        return self._planes.shape[1]
+
+    def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
+        number = keyframe.frame.number
+        self._keyframes[number] = keyframe
+        self._seed(keyframe)
+        coarse = round(self.config.iterations * self.config.coarse_share)
+        values: dict[str, float] = {}
+        for iteration in range(self.config.iterations):
+            values = self._iterate(self._choose(number, window), half=iteration < coarse) or values
+        self._prune()
+        return MappingReport(self._psnr(number), self.gaussians, self.config.iterations, values)
+
+    def update_poses(self, trajectory: Trajectory) -> None:
+        for number, pose in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
+            known = self._keyframes.get(number)
+            if known is not None and not np.array_equal(known.T_world_cam, pose):
+                self._keyframes[number] = replace(known, T_world_cam=pose)
+
+    def finish(self) -> None:
+        if not self._keyframes:
+            return
+        numbers = list(self._keyframes)
+        for _ in range(self.config.final_iterations):
+            self._iterate(int(self._random.choice(numbers)), half=False)
+        self._prune()
+
+    def render(self, view: PinholeView) -> RenderedView:
+        rendered = self._rasterizer.render(self._planes, view, differentiable=False)
+        color = rendered.color.clamp(0.0, 1.0).permute(1, 2, 0).float().cpu().numpy()
+        return RenderedView(color, rendered.depth.float().cpu().numpy(), rendered.alpha.float().cpu().numpy())
+
+    def save(self, path: Path) -> None:
+        write_ply(path, self._planes)
+
+    def _view(self, number: int) -> PinholeView:
+        return PinholeView.of(self._camera, self._keyframes[number].T_world_cam)
+
+    def _target(self, number: int, half: bool) -> Target:
+        """The cached target of a keyframe; the least recently used one is dropped."""
+        pair = self._targets.pop(number, None)
+        if pair is None:
+            full = target_of(self._keyframes[number], self._view(number), self.config.depth_range_m, self._planes.device)
+            pair = (full, full.halved())
+        self._targets[number] = pair
+        while len(self._targets) > self.config.cached_targets:
+            self._targets.popitem(last=False)
+        return pair[int(half)]
+
+    def _choose(self, newest: int, window: Sequence[int]) -> int:
+        """Draw a view: the newest keyframe, one of the window, or an older one."""
+        draw = self._random.random()
+        others = [n for n in window if n != newest and n in self._keyframes]
+        if draw >= self.config.newest_share and others and draw < self.config.newest_share + self.config.window_share:
+            return others[int(self._random.integers(len(others)))]
+        older = [n for n in self._keyframes if n != newest and n not in others]
+        if draw >= self.config.newest_share + self.config.window_share and older:
+            return older[int(self._random.integers(len(older)))]
+        return newest
+
+    def _iterate(self, number: int, half: bool) -> dict[str, float]:
+        """One render of a keyframe, its losses, and one step of the optimizer."""
+        target = self._target(number, half)
+        view = self._view(number)
+        rendered = self._rasterizer.render(self._planes, view.halved() if half else view)
+        values, gradients = self._losses.evaluate(rendered, target)
+        by_parameters = self._rasterizer.backward(rendered, *gradients)
+        self._optimizer.step(self._planes, by_parameters, self._birth_depth)
+        return values
+
+    def _seed(self, keyframe: Keyframe) -> None:
+        """Add Gaussians where the map does not explain the keyframe yet (METHOD, "seeding")."""
+        c, number = self.config, keyframe.frame.number
+        view, target = self._view(number), self._target(number, half=False)
+        unexplained = np.ones(keyframe.depth.depth.shape, bool)
+        if self.gaussians:
+            rendered = self._rasterizer.render(self._planes, view, differentiable=False)
+            error = (rendered.color - target.image).abs().mean(0)
+            unexplained = ((rendered.alpha < c.seed.max_alpha) | (error > c.seed.min_error)).cpu().numpy()
+        depth = np.where(target.depth_mask.cpu().numpy(), keyframe.depth.depth, np.nan)
+        planes, depths = seed_gaussians(keyframe.frame.left, depth, keyframe.sky, unexplained, view, c.seed)
+        self._planes = torch.cat([self._planes, planes.to(self._planes.device)], 1)
+        self._birth_depth = torch.cat([self._birth_depth, depths.to(self._planes.device)])
+        self._optimizer.grow(len(depths))
+
+    def _prune(self) -> None:
+        """Remove Gaussians below the opacity threshold (paper, "Implementation Details")."""
+        keep = torch.sigmoid(self._planes[OPACITY_LOGIT]) >= self.config.prune_opacity
+        if bool(keep.all()):
+            return
+        self._planes = self._planes[:, keep].contiguous()
+        self._birth_depth = self._birth_depth[keep]
+        self._optimizer.keep(keep)
+
+    def _psnr(self, number: int) -> float:
+        rendered = self._rasterizer.render(self._planes, self._view(number), differentiable=False)
+        error = rendered.color.clamp(0.0, 1.0) - self._target(number, half=False).image
+        return float(-10.0 * torch.log10((error * error).mean().clamp_min(1e-10)))
