@@ -22,7 +22,7 @@ from dataclasses import dataclass, is_dataclass
 from typing import Any, TypeVar
 
 from hydra.core.config_store import ConfigStore
-from omegaconf import OmegaConf
+from omegaconf import Container, ListConfig, OmegaConf
 
 from bench.errors import BenchError, did_you_mean
 
@@ -81,12 +81,28 @@ def register(kind: str, name: str, config: type[PluginConfig] = PluginConfig) ->
         ConfigStore.instance().store(
             group=kind,
             name=name,
-            node=OmegaConf.structured(config(name=name)),
+            node=config_node(config(name=name)),
             package=f"{kind}.{name}" if kind in SEVERAL_AT_ONCE else kind,
         )
         return cls
 
     return add
+
+
+def config_node(config: Any) -> Container:
+    """A typed node for Hydra's ConfigStore. Frozen dataclasses are fine: only their instances are read-only, not the node."""
+    node = OmegaConf.structured(config)
+    pending = [node]
+    while pending:
+        container = pending.pop()
+        OmegaConf.set_readonly(container, None)
+        pending += [child for child in _children(container) if isinstance(child, Container)]
+    return node
+
+
+def _children(container: Container) -> list[Any]:
+    keys = range(len(container)) if isinstance(container, ListConfig) else list(container)
+    return [container._get_node(key) for key in keys]  # type: ignore[attr-defined]
 
 
 def names(kind: str) -> list[str]:

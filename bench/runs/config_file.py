@@ -1,0 +1,64 @@
+"""``config.yaml`` of a run folder: the resolved config, with its hash in the first line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError  # type: ignore[import-untyped]  # comes with omegaconf, which raises it
+
+from bench.errors import BenchError
+from bench.runs.atomic import write_text
+
+CONFIG_FILE = "config.yaml"
+_HASH_LINE = "# bgs-bench run, config hash "
+_MISSING = object()
+# Where a run lies and how it was started: no part of what it is.
+_NO_PART_OF_THE_RUN = ("output", "rerun", "plugins")
+
+
+def write_config(folder: Path, config: dict[str, Any], config_hash: str) -> None:
+    """Write ``config.yaml`` atomically; ``config`` is resolved (plain dicts, lists, numbers, strings)."""
+    write_text(folder / CONFIG_FILE, f"{_HASH_LINE}{config_hash}\n{OmegaConf.to_yaml(OmegaConf.create(config))}")
+
+
+def read_config(folder: Path) -> tuple[dict[str, Any], str] | None:
+    """The config and its hash, or None where the folder has no ``config.yaml`` of a run.
+
+    Raises ``BenchError`` when the file is damaged.
+    """
+    path = folder / CONFIG_FILE
+    if not path.is_file():
+        return None
+    try:
+        text = path.read_text()
+        first = text.partition("\n")[0]
+        if not first.startswith(_HASH_LINE):
+            return None
+        config = OmegaConf.to_container(OmegaConf.create(text))
+    except (OSError, UnicodeDecodeError, YAMLError, OmegaConfBaseException) as error:
+        reason = " ".join(str(error).split())
+        raise BenchError(f"{path} can't be read: {reason}. Delete the run folder and run again.") from error
+    if not isinstance(config, dict):
+        raise BenchError(f"{path} holds no settings. Delete the run folder and run again.")
+    return {str(key): value for key, value in config.items()}, first.removeprefix(_HASH_LINE).strip()
+
+
+def differing_keys(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
+    """Dotted names of the settings whose values differ, sorted, for example ``["stereo.blocks", "tracker.name"]``."""
+    first, second = dict(_flat(one, "")), dict(_flat(other, ""))
+    keys = first.keys() | second.keys()
+    return sorted(
+        key for key in keys if key not in _NO_PART_OF_THE_RUN and first.get(key, _MISSING) != second.get(key, _MISSING)
+    )
+
+
+def _flat(config: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in config.items():
+        if isinstance(value, dict) and value:
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", list(value) if isinstance(value, (list, tuple)) else value

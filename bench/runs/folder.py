@@ -1,0 +1,221 @@
+"""The folder of one run: what a running system writes into it. ``SavedRun`` reads it again."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from bench.errors import BenchError
+from bench.geometry.trajectory_io import write_kitti, write_tum
+from bench.runs.atomic import TEMPORARY_PATTERN, atomic_path, write_image, write_json, write_text
+from bench.runs.config_file import CONFIG_FILE, differing_keys, read_config, write_config
+from bench.runs.status import STATUS_FILE, current_status, read_status, write_status
+from bench.runs.trajectory_csv import as_csv
+from bench.types import Image, Map, RenderedView, Trajectory
+
+View = Literal["left", "right"]
+
+VIEWS: tuple[View, ...] = ("left", "right")
+FRAMES_FILE = "frames.csv"
+TRAJECTORY_FILE = "trajectory.csv"
+GROUND_TRUTH_FILE = "ground_truth.csv"
+RESOURCES_FILE = "resources.json"
+PROVENANCE_FILE = "provenance.json"
+METRICS_FILE = "metrics.json"
+PER_FRAME_FILE = "per_frame.csv"
+LOG_FILE = "log.txt"
+MAP_FILE = "map.ply"
+
+FRAME_COLUMNS = ["number", "timestamp", "state", "mapped", "heldout"]
+"""What each row of ``frames.csv`` has at least."""
+
+_RUN_FILES = (
+    STATUS_FILE,
+    FRAMES_FILE,
+    TRAJECTORY_FILE,
+    "trajectory_kitti.txt",
+    "trajectory_tum.txt",
+    GROUND_TRUTH_FILE,
+    "ground_truth_kitti.txt",
+    RESOURCES_FILE,
+    PROVENANCE_FILE,
+    METRICS_FILE,
+    PER_FRAME_FILE,
+    LOG_FILE,
+    MAP_FILE,
+)
+_PICTURE = re.compile(r"\d{6,}\.png")
+# Depth PNGs hold metres * 256 as uint16, like KITTI's own depth maps; 0 = no depth.
+DEPTH_SCALE = 256.0
+
+
+def picture_path(folder: Path, view: View, what: Literal["color", "depth"], number: int) -> Path:
+    """Where a run folder keeps the picture of a frame: ``views/left/color/000012.png``."""
+    return folder / "views" / view / what / f"{number:06d}.png"
+
+
+def color_to_8bit(color: npt.NDArray[np.float32]) -> Image:
+    """(H, W, 3) float32 clamped to [0, 1] and rounded to uint8; this is what image metrics see."""
+    # One saturating, rounding pass: twice as fast as clip, multiply, round and cast.
+    return np.asarray(cv2.addWeighted(color, 255.0, color, 0.0, 0.0, dtype=cv2.CV_8U), dtype=np.uint8)
+
+
+def depth_to_16bit(depth: Map) -> npt.NDArray[np.uint16]:
+    """(H, W) metres to metres * 256 in uint16, rounded; NaN and what is not positive become 0, far depth 65535."""
+    # nan_to_num first: what a cast makes of NaN differs between machines.
+    known = np.nan_to_num(depth, nan=0.0, posinf=65535.0, neginf=0.0)
+    return np.asarray(cv2.addWeighted(known, DEPTH_SCALE, known, 0.0, 0.0, dtype=cv2.CV_16U), dtype=np.uint16)
+
+
+class RunFolder:
+    """Writes one run's files, each whole or not at all. Made by ``RunFolder.create``.
+
+    ``already_done`` is True when the folder holds this very run, finished: there is nothing to do.
+    """
+
+    def __init__(self, path: Path, already_done: bool) -> None:
+        self.path = path
+        self.already_done = already_done
+        self._started = ""
+        # The depth map is compressed beside the colour image: on two cores this nearly halves the time a view.
+        self._second_writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="depth-png")
+
+    @classmethod
+    def create(cls, path: Path, config: dict[str, Any], config_hash: str, rerun: bool) -> RunFolder:
+        """Make or open the folder and write ``config.yaml``; older outputs of the same config are removed.
+
+        A finished run of the same config is left as it is (``already_done``) unless ``rerun``. Raises ``BenchError``
+        when the path is a file, can't be written, holds something else or a run of another config, or is being
+        written by a live process.
+        """
+        if path.exists() and not path.is_dir():
+            raise BenchError(f"output={path} is a file. Name a folder that is empty or not there yet.")
+        if path.is_dir():
+            known = _known_run(path)
+            if known is not None:
+                _require_same_config(path, known, config, config_hash)
+                if _is_done(path) and not rerun:
+                    return cls(path, already_done=True)
+                _remove_old_outputs(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise BenchError(
+                f"Can't make the run folder {path}: {error.strerror}. Give output= a place that you may write to."
+            ) from error
+        write_config(path, config, config_hash)
+        return cls(path, already_done=False)
+
+    def set_status(self, state: str, reason: str = "", frames_done: int = 0, frames_total: int = 0) -> None:
+        """Write ``status.json``; ``state`` is running, done, failed, out_of_memory or interrupted."""
+        status = current_status(state, reason, frames_done, frames_total, self._started)
+        self._started = status.started
+        write_status(self.path, status)
+
+    def write_view(self, view: View, number: int, view_data: RenderedView, depth: Map) -> None:
+        """Save a render of frame ``number``: the colour of ``view_data``, and ``depth`` (H, W) in metres.
+
+        ``depth`` is the one that the protocol names (raw or normalised by alpha), NaN where nothing was rendered.
+        """
+        color_path = picture_path(self.path, view, "color", number)
+        depth_path = picture_path(self.path, view, "depth", number)
+        for picture in (color_path, depth_path):
+            picture.parent.mkdir(parents=True, exist_ok=True)
+        depth_written = self._second_writer.submit(lambda: write_image(depth_path, depth_to_16bit(depth)))
+        write_image(color_path, color_to_8bit(view_data.color))
+        depth_written.result()
+
+    def write_trajectory(self, trajectory: Trajectory, ground_truth: Trajectory | None) -> None:
+        """Save the estimated poses (CSV with frame numbers, KITTI, TUM) and the ground truth (CSV, KITTI)."""
+        write_text(self.path / TRAJECTORY_FILE, as_csv(trajectory))
+        with atomic_path(self.path / "trajectory_kitti.txt") as temporary:
+            write_kitti(temporary, trajectory.T_world_cam)
+        with atomic_path(self.path / "trajectory_tum.txt") as temporary:
+            write_tum(temporary, trajectory)
+        if ground_truth is not None:
+            write_text(self.path / GROUND_TRUTH_FILE, as_csv(ground_truth))
+            with atomic_path(self.path / "ground_truth_kitti.txt") as temporary:
+                write_kitti(temporary, ground_truth.T_world_cam)
+
+    def write_frames(self, rows: list[dict[str, Any]]) -> None:
+        """Save what happened to each frame as ``frames.csv``: ``FRAME_COLUMNS`` and what else the run measured."""
+        table = pd.DataFrame(rows, columns=None if rows else FRAME_COLUMNS)
+        write_text(self.path / FRAMES_FILE, table.to_csv(index=False))
+
+    def write_json(self, name: str, obj: Any) -> None:
+        """Save a JSON file, for example ``resources.json``; NaN becomes null."""
+        write_json(self.path / name, obj)
+
+    @contextmanager
+    def attach_log(self) -> Iterator[None]:
+        """Send what the project logs (INFO and up), and other packages' warnings, to ``log.txt`` meanwhile."""
+        handler = logging.FileHandler(self.path / LOG_FILE, encoding="utf-8")
+        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+        own = [logging.getLogger(name) for name in ("bench", "plugins")]
+        levels = [logger.level for logger in own]
+        logging.getLogger().addHandler(handler)
+        for logger in own:
+            logger.setLevel(logging.INFO)
+        try:
+            yield
+        finally:
+            logging.getLogger().removeHandler(handler)
+            handler.close()
+            for logger, level in zip(own, levels, strict=True):
+                logger.setLevel(level)
+
+
+def _known_run(path: Path) -> tuple[dict[str, Any], str] | None:
+    """Config and hash of the run that lies in ``path``; None where nothing does; an error where something else does."""
+    known = read_config(path)
+    # Hidden entries (.hydra, .DS_Store) belong to nobody's results.
+    if known is None and any(not entry.name.startswith(".") for entry in path.iterdir()):
+        raise BenchError(
+            f"The folder {path} is not empty and holds no run ({CONFIG_FILE} is not there or not ours). "
+            "Give output= another folder, or empty this one."
+        )
+    return known
+
+
+def _require_same_config(path: Path, known: tuple[dict[str, Any], str], config: dict[str, Any], new_hash: str) -> None:
+    old_config, old_hash = known
+    if old_hash == new_hash:
+        return
+    keys = differing_keys(old_config, config)
+    shown = ", ".join(keys[:5]) + (f" and {len(keys) - 5} more" if len(keys) > 5 else "")
+    raise BenchError(
+        f"The folder {path} holds a run of another config (it differs in {shown or 'values edited by hand'}). "
+        "Give output= another folder, or delete this one."
+    )
+
+
+def _is_done(path: Path) -> bool:
+    status = read_status(path)
+    if status is not None and status.is_alive() and status.pid != os.getpid():
+        raise BenchError(f"The run in {path} is being written by process {status.pid}. Wait for it, or stop it first.")
+    return status is not None and status.state == "done"
+
+
+def _remove_old_outputs(path: Path) -> None:
+    """Remove the files that a run writes, and nothing else that may lie in the folder."""
+    for name in _RUN_FILES:
+        (path / name).unlink(missing_ok=True)
+    for view in VIEWS:
+        for what in ("color", "depth"):
+            pictures = path / "views" / view / what
+            for file in pictures.iterdir() if pictures.is_dir() else ():
+                if _PICTURE.fullmatch(file.name) or file.match(TEMPORARY_PATTERN):
+                    file.unlink()
+    for leftover in path.glob(TEMPORARY_PATTERN):
+        leftover.unlink()

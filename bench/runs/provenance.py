@@ -1,0 +1,102 @@
+"""What a number came from: code, packages, machine, seed, weights."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import bench
+
+_PACKAGES = (
+    "bgs-slam-bench",
+    "torch",
+    "numpy",
+    "opencv-python-headless",
+    "opencv-python",
+    "onnxruntime",
+    "hydra-core",
+    "omegaconf",
+    "pandas",
+    "scikit-image",
+    "lpips",
+    "torchvision",
+    "gsplat",
+    "gtsam",
+)
+
+
+def collect_provenance(config: dict[str, Any], seed: int, weights: dict[str, Path]) -> dict[str, Any]:
+    """Everything that is needed to make a run again, as a plain dict for ``provenance.json``.
+
+    ``weights`` maps what a file is to the file. A missing git, checkout or GPU gives None, never an error.
+    """
+    return {
+        "git": _git_state(),
+        "command": list(sys.argv),
+        "seed": seed,
+        "plugins": {kind: part["name"] for kind, part in config.items() if isinstance(part, dict) and part.get("name")},
+        "packages": _versions(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "machine": {
+            "cpu": _cpu_model(),
+            "cores": os.cpu_count(),
+            "usable_cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+            "torch_threads": torch.get_num_threads(),
+            "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
+        },
+        "weights": {name: {"file": path.name, "sha256": sha256_of(path)} for name, path in weights.items()},
+    }
+
+
+def sha256_of(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _git_state() -> dict[str, Any] | None:
+    """Commit and dirty flag of this project's checkout: where the package lies, else where the command was given."""
+    for root in (Path(bench.__file__).resolve().parents[1], Path.cwd()):
+        if (root / ".git").exists() and (root / "bench" / "registry.py").is_file():
+            commit = _git(root, "rev-parse", "HEAD")
+            changes = _git(root, "status", "--porcelain")
+            return {"commit": commit, "dirty": None if changes is None else bool(changes)}
+    return None
+
+
+def _git(root: Path, *arguments: str) -> str | None:
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(root), *arguments], capture_output=True, text=True, timeout=20, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None  # no git here, or a checkout without a commit: provenance says so with null
+    return answer.stdout.strip()
+
+
+def _versions() -> dict[str, str]:
+    installed = {}
+    for name in _PACKAGES:
+        try:
+            installed[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return installed
+
+
+def _cpu_model() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

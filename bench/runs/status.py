@@ -1,0 +1,115 @@
+"""The state of a run, kept in ``status.json``, so that a sweep's missing and failed cells can be found later."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from bench.errors import BenchError, require_choice
+from bench.runs.atomic import write_json
+
+RunState = Literal["running", "done", "failed", "out_of_memory", "interrupted"]
+STATES: tuple[str, ...] = get_args(RunState)
+STATUS_FILE = "status.json"
+
+
+@dataclass(frozen=True)
+class RunStatus:
+    """What ``status.json`` holds. ``started`` and ``updated`` are UTC times in ISO 8601.
+
+    ``process_started`` (clock ticks since boot, from ``/proc``) tells the process of this run from a later one that was
+    given the same number.
+    """
+
+    state: str
+    reason: str = ""
+    frames_done: int = 0
+    frames_total: int = 0
+    pid: int = 0
+    started: str = ""
+    updated: str = ""
+    host: str = ""
+    process_started: int | None = None
+
+    def is_alive(self) -> bool:
+        """Whether the process that wrote "running" still runs on this machine."""
+        if self.state != "running" or self.host != socket.gethostname() or self.pid <= 0:
+            return False
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:
+            pass  # it exists and belongs to someone else
+        return self.process_started in (None, _process_started(self.pid))
+
+    def describe(self) -> str:
+        """The state in a few words; a "running" whose process is gone from this machine is called dead."""
+        words = self.state.replace("_", " ")
+        if self.state == "running" and self.host == socket.gethostname() and not self.is_alive():
+            return "killed"
+        return words
+
+
+def current_status(state: str, reason: str, frames_done: int, frames_total: int, started: str) -> RunStatus:
+    """The status of this process now; ``started`` is "" on the first call. ``BenchError`` for an unknown state."""
+    require_choice("state", state, STATES)
+    now = datetime.now(UTC).isoformat(timespec="milliseconds")
+    return RunStatus(
+        state=state,
+        reason=reason,
+        frames_done=frames_done,
+        frames_total=frames_total,
+        pid=os.getpid(),
+        started=started or now,
+        updated=now,
+        host=socket.gethostname(),
+        process_started=_process_started(os.getpid()),
+    )
+
+
+def write_status(folder: Path, status: RunStatus) -> None:
+    """Write ``status.json`` of a run folder atomically."""
+    write_json(folder / STATUS_FILE, asdict(status))
+
+
+def read_status(folder: Path) -> RunStatus | None:
+    """Read ``status.json``, or None where there is none; raises ``BenchError`` for a damaged one."""
+    path = folder / STATUS_FILE
+    if not path.is_file():
+        return None
+    content = read_json(path)
+    known = {name: content[name] for name in RunStatus.__dataclass_fields__ if content.get(name) is not None}
+    if known.get("state") not in STATES:
+        raise BenchError(f"{path} names no known state (one of {', '.join(STATES)}); delete the file and run again.")
+    return RunStatus(**known)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object; raises ``BenchError`` naming the file (and line) when it is missing or damaged."""
+    try:
+        content = json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise BenchError(f"{path} is damaged (line {error.lineno}: {error.msg}); delete it and run again.") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise BenchError(f"Can't read {path}: {error}. Check the file and its permissions.") from error
+    if not isinstance(content, dict):
+        raise BenchError(
+            f"{path} should hold a JSON object and holds a {type(content).__name__}; delete it and run again."
+        )
+    return content
+
+
+def _process_started(pid: int) -> int | None:
+    """Start time of a process in clock ticks since boot; None where the system doesn't tell."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return None
+    # The command's name, in parentheses, may hold spaces; the 22nd field is the 20th after it.
+    return int(stat.rpartition(")")[2].split()[19])

@@ -1,0 +1,28 @@
+"""Reading the CSV files of a run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import pandas as pd
+
+from bench.errors import BenchError
+
+
+def read_csv(path: Path, columns: Iterable[str]) -> pd.DataFrame:
+    """Read a CSV file that must have these columns; raises ``BenchError`` when it is missing, damaged or lacks one."""
+    if not path.is_file():
+        raise BenchError(
+            f"{path} is missing: the run did not get far enough to be scored. Run it again with rerun=true."
+        )
+    try:
+        # The default float parser is off by an ulp; poses must come back as they were.
+        table = pd.read_csv(path, float_precision="round_trip")
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise BenchError(f"{path} is damaged ({reason}). Run again with rerun=true.") from error
+    lacking = [name for name in columns if name not in table.columns]
+    if lacking:
+        raise BenchError(f"{path} lacks the column {lacking[0]!r}. Run again with rerun=true.")
+    return table

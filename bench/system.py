@@ -1,0 +1,249 @@
+"""The SLAM loop: the one place where the stages meet.
+
+Data flows one way: data set -> tracker -> keyframer -> stereo -> sky -> mapper -> run folder. Scoring comes afterwards
+and reads the run folder only.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+
+from bench import registry
+from bench.config import RunConfig
+from bench.contracts.dataset import Dataset
+from bench.contracts.keyframer import Keyframer
+from bench.contracts.mapper import Mapper
+from bench.contracts.rasterizer import PinholeView
+from bench.contracts.sky import SkySegmenter
+from bench.contracts.stereo import DepthSource
+from bench.contracts.tracker import Tracker
+from bench.errors import BenchError
+from bench.evaluation.protocol import Protocol
+from bench.prefetch import prefetch
+from bench.runs.atomic import atomic_path
+from bench.runs.folder import MAP_FILE, PROVENANCE_FILE, RESOURCES_FILE, RunFolder
+from bench.runs.memory import PeakMemory
+from bench.runs.provenance import collect_provenance
+from bench.types import Keyframe, RenderedView, StereoFrame, TrackingResult, Trajectory
+
+log = logging.getLogger(__name__)
+
+# Called as each frame is done: frames done, frames in all, PSNR of the newest keyframe in dB (NaN before the first).
+Progress = Callable[[int, int, float], None]
+
+
+@dataclass
+class System:
+    """The parts of one run, built from its config. Building checks everything that can be checked before running."""
+
+    dataset: Dataset
+    tracker: Tracker
+    keyframer: Keyframer
+    stereo: DepthSource
+    sky: SkySegmenter
+    mapper: Mapper
+    protocol: Protocol
+
+    @classmethod
+    def build(cls, config: RunConfig) -> System:
+        """Construct every plugin; raises ``BenchError`` for bad settings or bad data, before anything is written."""
+        dataset = registry.build(config.plugin("dataset"), "dataset")
+        parts = {
+            kind: registry.build(config.plugin(kind), kind)
+            for kind in ("tracker", "keyframer", "stereo", "sky", "mapper")
+        }
+        losses = [registry.build(loss, "loss") for loss in config.several("loss")]
+        rasterizer = registry.build(config.plugin("rasterizer"), "rasterizer")
+        for evaluator in config.several("evaluator"):
+            registry.lookup("evaluator", evaluator.name)
+        parts["tracker"].start(dataset)
+        parts["stereo"].start(dataset)
+        parts["mapper"].start(dataset.camera, rasterizer, losses, config.values["seed"])
+        return cls(dataset=dataset, protocol=config.protocol, **parts)
+
+
+@dataclass
+class _Progress:
+    """What a run has done so far; saved also when it ends early."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=lambda: {"tracking": 0.0, "stereo": 0.0, "mapping": 0.0})
+    psnr_db: float = float("nan")
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add the wall-clock time of the block to a stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - start
+
+
+def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder:
+    """Run the configured system and save the run; returns its folder.
+
+    Raises ``BenchError`` before anything is written for bad input that can be known beforehand. What goes wrong later is
+    recorded in ``status.json`` (failed, out_of_memory, interrupted), what was done is saved, and the error goes on.
+    """
+    torch.manual_seed(config.values["seed"])
+    system = System.build(config)
+    folder = RunFolder.create(config.output, config.values, config.hash, rerun=config.values["rerun"])
+    if folder.already_done:
+        return folder
+    total, done = len(system.dataset), _Progress()
+    memory = PeakMemory()
+    with folder.attach_log(), _terminate_as_interrupt():
+        folder.set_status("running", frames_total=total)
+        folder.write_json(PROVENANCE_FILE, collect_provenance(config.values, config.values["seed"], {}))
+        try:
+            _run_frames(system, done, progress)
+            with done.timed("mapping"):
+                system.mapper.update_poses(system.tracker.trajectory())
+                system.mapper.finish()
+            _save_views(system, folder)
+            _save(system, folder, done, memory)
+            folder.set_status("done", frames_done=len(done.rows), frames_total=total)
+        except BaseException as error:
+            state, reason = _how_it_ended(error)
+            log.exception("The run ended early: %s", reason)
+            _save(system, folder, done, memory)
+            folder.set_status(state, reason, frames_done=len(done.rows), frames_total=total)
+            raise
+    return folder
+
+
+def _run_frames(system: System, done: _Progress, progress: Progress | None) -> None:
+    frames = prefetch(system.dataset)
+    for position, frame in frames:
+        seconds_before = dict(done.seconds)
+        with done.timed("tracking"):
+            tracking = system.tracker.track(frame)
+        row: dict[str, Any] = {
+            "number": frame.number,
+            "timestamp": frame.timestamp,
+            "state": tracking.state,
+            "inliers": tracking.inliers,
+            "reprojection_px": tracking.reprojection_px,
+            "is_keyframe": False,
+            "mapped": False,
+            "heldout": system.protocol.is_held_out(frame.number),
+        }
+        if tracking.state == "lost":
+            log.warning("frame %d: tracking is lost", frame.number)
+        elif not row["heldout"]:
+            row |= _map_frame(system, done, position, frame, tracking)
+        row |= {f"{stage}_s": done.seconds[stage] - seconds_before[stage] for stage in done.seconds}
+        done.rows.append(row)
+        if progress is not None:
+            progress(len(done.rows), len(system.dataset), done.psnr_db)
+
+
+def _map_frame(
+    system: System, done: _Progress, position: int, frame: StereoFrame, tracking: TrackingResult
+) -> dict[str, Any]:
+    """Ask the keyframer, and let the mapper learn from a keyframe; returns its cells of ``frames.csv``."""
+    decision = system.keyframer.update(frame, tracking)
+    if not decision.is_keyframe:
+        return {"keyframe_reason": decision.reason}
+    with done.timed("stereo"):
+        depth = system.stereo.depth(frame, position, system.dataset.camera)
+        sky = system.sky.segment(frame.left, depth, system.dataset.camera)
+    with done.timed("mapping"):
+        trajectory = system.tracker.trajectory()
+        system.mapper.update_poses(trajectory)
+        pose = trajectory.pose_of(frame.number)
+        assert pose is not None
+        report = system.mapper.add_keyframe(Keyframe(frame, depth, sky, pose), decision.window)
+    done.psnr_db = report.psnr_db
+    log.info(
+        "frame %d: keyframe (%s), %d Gaussians, %.2f dB, %s",
+        *(frame.number, decision.reason, report.gaussians, report.psnr_db),
+        ", ".join(f"{name} {value:.4f}" for name, value in report.losses.items()),
+    )
+    return {
+        "keyframe_reason": decision.reason,
+        "is_keyframe": True,
+        "mapped": True,
+        "psnr_while_mapping": report.psnr_db,
+        "gaussians": report.gaussians,
+    }
+
+
+def _save_views(system: System, folder: RunFolder) -> None:
+    """Render every tracked frame from its final pose, left and (if the protocol asks) right, and save it."""
+    camera = system.dataset.camera
+    trajectory = system.tracker.trajectory()
+    for number, T_world_cam in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
+        left = system.mapper.render(PinholeView.of(camera, T_world_cam))
+        folder.write_view("left", number, left, _depth_to_save(left, system.protocol))
+        if system.protocol.right_view:
+            right = system.mapper.render(PinholeView.of(camera, T_world_cam @ camera.T_left_right))
+            folder.write_view("right", number, right, _depth_to_save(right, system.protocol))
+
+
+def _depth_to_save(view: RenderedView, protocol: Protocol) -> np.ndarray:
+    if protocol.rendered_depth == "raw":
+        return view.depth
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(view.alpha > 1e-3, view.depth / view.alpha, np.nan).astype(np.float32)
+
+
+def _save(system: System, folder: RunFolder, done: _Progress, memory: PeakMemory) -> None:
+    """Everything but the renders; what there is of it, when the run ended early."""
+    frames = max(len(done.rows), 1)
+    folder.write_frames(done.rows)
+    folder.write_trajectory(system.tracker.trajectory(), _ground_truth_so_far(system.dataset, done))
+    if system.mapper.gaussians:
+        with atomic_path(folder.path / MAP_FILE) as temporary:
+            system.mapper.save(temporary)
+    per_frame = {f"{stage}_s_per_frame": seconds / frames for stage, seconds in done.seconds.items()}
+    folder.write_json(
+        RESOURCES_FILE,
+        {"peak_memory_gb": memory.peak_gb(), "gaussians": system.mapper.gaussians, "frames": len(done.rows)} | per_frame,
+    )
+
+
+def _ground_truth_so_far(dataset: Dataset, done: _Progress) -> Trajectory | None:
+    truth = dataset.ground_truth()
+    if truth is None:
+        return None
+    n = len(done.rows)
+    return Trajectory(truth.T_world_cam[:n], truth.numbers[:n], truth.timestamps[:n])
+
+
+def _how_it_ended(error: BaseException) -> tuple[str, str]:
+    """State and reason for ``status.json``."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted", "stopped by the user"
+    text = str(error) or type(error).__name__
+    if isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in text:
+        return "out_of_memory", text.split("\n", 1)[0]
+    return "failed", text if isinstance(error, BenchError) else f"{type(error).__name__}: {text}"
+
+
+@contextmanager
+def _terminate_as_interrupt() -> Iterator[None]:
+    """A polite kill (SIGTERM) ends a run like Ctrl-C: what was done is saved."""
+
+    def interrupt(signum: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGTERM, interrupt)
+    except ValueError:  # not in the main thread, where signals can't be handled
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

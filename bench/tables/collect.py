@@ -1,0 +1,162 @@
+"""One table row a run folder, from what is there; a half-written or damaged folder gives a row that says so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bench.errors import BenchError
+from bench.runs.config_file import read_config
+from bench.runs.folder import METRICS_FILE, RESOURCES_FILE
+from bench.runs.status import read_json, read_status
+
+DEFAULT_FOLDER = Path("results/runs")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the table: its key in a row, heading, unit, and number of decimals (None: text or a whole number)."""
+
+    key: str
+    title: str
+    unit: str = ""
+    decimals: int | None = None
+
+
+COLUMNS = (
+    Column("run", "Run"),
+    Column("dataset", "Dataset"),
+    Column("system", "System"),
+    Column("stereo", "Stereo"),
+    Column("tracker", "Tracker"),
+    Column("status", "Status"),
+    Column("frames", "Frames"),
+    Column("ate_rmse_m", "ATE", "m", 3),
+    Column("psnr_db", "PSNR", "dB", 2),
+    Column("ssim", "SSIM", "", 3),
+    Column("lpips", "LPIPS", "", 3),
+    Column("depth_l1_cm", "Depth-L1", "cm", 1),
+    Column("heldout_psnr_db", "Held-out PSNR", "dB", 2),
+    Column("right_psnr_db", "Right PSNR", "dB", 2),
+    Column("gaussians", "Gaussians"),
+    Column("peak_memory_gb", "Memory", "GB", 2),
+    Column("s_per_frame", "Time", "s/frame", 2),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Values by column key (None: not known), the protocol stamp of the numbers, and why values are missing."""
+
+    values: dict[str, Any]
+    protocol: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def find_runs(paths: list[Path]) -> list[Path]:
+    """The run folders among and directly under ``paths``, sorted; under ``results/runs`` when none are given.
+
+    Raises ``BenchError`` for a path that is neither a run folder nor a folder that holds some.
+    """
+    found: list[Path] = []
+    for path in paths or [DEFAULT_FOLDER]:
+        if not path.is_dir():
+            raise BenchError(f"There is no folder {path}. Give run folders, or make a run first with `bgs-bench run`.")
+        runs = (
+            [path] if _looks_like_run(path) else sorted(folder for folder in path.iterdir() if _looks_like_run(folder))
+        )
+        if not runs:
+            raise BenchError(f"{path} is no run folder and holds none. Give folders that `bgs-bench run` wrote.")
+        found += [run for run in runs if run not in found]
+    return found
+
+
+def collect_row(folder: Path) -> Row:
+    """The row of one run folder; never raises for what the folder holds."""
+    values: dict[str, Any] = {column.key: None for column in COLUMNS}
+    values["run"] = folder.resolve().name
+    notes: list[str] = []
+    metrics: dict[str, Any] = {}
+    for part in (_from_status, _from_config, _from_resources):
+        try:
+            values |= part(folder)
+        except BenchError as error:
+            notes.append(str(error))
+    try:
+        metrics = read_json(folder / METRICS_FILE) if (folder / METRICS_FILE).is_file() else {}
+    except BenchError as error:
+        notes.append(str(error))
+    values |= _from_metrics(metrics)
+    if notes:
+        values["status"] = f"{values['status'] or ''} (damaged)".strip()
+    # The run's own words on why it stopped, and on what it could not compute.
+    reason = values.pop("reason", "")
+    notes += [f"stopped: {reason}"] if reason else []
+    notes += [f"{name}: {reason}" for name, reason in _part(metrics, "notes").items()]
+    return Row(values, _part(metrics, "protocol"), tuple(notes))
+
+
+def _looks_like_run(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in ("config.yaml", "status.json", METRICS_FILE))
+
+
+def _from_status(folder: Path) -> dict[str, Any]:
+    status = read_status(folder)
+    if status is None:
+        return {"status": "no status"}
+    frames = f"{status.frames_done}/{status.frames_total}" if status.frames_total else None
+    return {"status": status.describe(), "frames": frames, "reason": status.reason}
+
+
+def _from_config(folder: Path) -> dict[str, Any]:
+    known = read_config(folder)
+    if known is None:
+        return {}
+    config, _ = known
+    dataset = config.get("dataset")
+    name = _name(dataset)
+    sequence = dataset.get("sequence") if isinstance(dataset, dict) else None
+    return {
+        "dataset": f"{name}/{sequence}" if sequence not in (None, "") else name,
+        "system": _name(config.get("system")),
+        "stereo": _name(config.get("stereo")),
+        "tracker": _name(config.get("tracker")),
+    }
+
+
+def _from_resources(folder: Path) -> dict[str, Any]:
+    """What a run that failed before it was scored has measured."""
+    if not (folder / RESOURCES_FILE).is_file():
+        return {}
+    resources = read_json(folder / RESOURCES_FILE)
+    return _resource_values(resources) | {"gaussians": resources.get("gaussians")}
+
+
+def _from_metrics(metrics: dict[str, Any]) -> dict[str, Any]:
+    views = _part(metrics, "views")
+    left = _part(views, "left")
+    values = {key: left.get(key) for key in ("psnr_db", "ssim", "lpips", "depth_l1_cm")}
+    values["ate_rmse_m"] = _part(metrics, "trajectory").get("ate_rmse_m")
+    values["heldout_psnr_db"] = _part(views, "heldout").get("psnr_db")
+    values["right_psnr_db"] = _part(views, "right").get("psnr_db")
+    values["gaussians"] = _part(metrics, "map").get("gaussians")
+    values |= _resource_values(_part(metrics, "resources"))
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _resource_values(resources: dict[str, Any]) -> dict[str, Any]:
+    stages = [resources.get(f"{stage}_s_per_frame") for stage in ("tracking", "stereo", "mapping")]
+    known = [seconds for seconds in stages if isinstance(seconds, (int, float))]
+    return {"peak_memory_gb": resources.get("peak_memory_gb"), "s_per_frame": sum(known) if known else None}
+
+
+def _part(mapping: dict[str, Any], key: str) -> dict[str, Any]:
+    part = mapping.get(key)
+    return part if isinstance(part, dict) else {}
+
+
+def _name(plugin: Any) -> str | None:
+    """The name of a part of the config, which is a mapping with a name, or the name itself."""
+    name = plugin.get("name") if isinstance(plugin, dict) else plugin
+    return str(name) if name not in (None, "") else None

@@ -1,0 +1,1 @@
+"""Parts of a feature-based stereo odometry: features, matching, pose, local map, local bundle adjustment."""

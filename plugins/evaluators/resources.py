@@ -1,0 +1,27 @@
+"""Memory and time, as the run measured them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.contracts.evaluator import Evaluator
+from bench.registry import PluginConfig, register
+from bench.runs.folder import RESOURCES_FILE
+from bench.runs.saved import SavedRun
+
+REPORTED = ("peak_memory_gb", "tracking_s_per_frame", "stereo_s_per_frame", "mapping_s_per_frame")
+
+
+@register("evaluator", "resources")
+class ResourcesEvaluator(Evaluator):
+    """Peak memory in GB, and seconds a frame of tracking, stereo and mapping."""
+
+    def __init__(self, config: PluginConfig) -> None:
+        self.config = config
+
+    def evaluate(self, run: SavedRun) -> dict[str, Any]:
+        """``resources`` with the four measured values; None and a note when the run stopped before it saved them."""
+        if not (run.path / RESOURCES_FILE).is_file():
+            note = "the run stopped before it saved its resources"
+            return {"resources": dict.fromkeys(REPORTED), "notes": {"resources": note}}
+        return {"resources": {name: run.resources.get(name) for name in REPORTED}}

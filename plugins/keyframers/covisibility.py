@@ -1,0 +1,130 @@
+"""The paper's keyframe rule: little covisibility with the last keyframe, or a sudden motion; with a sliding window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.contracts.keyframer import Keyframer
+from bench.errors import BenchError
+from bench.geometry import se3
+from bench.registry import PluginConfig, register
+from bench.tracking.features import Descriptors, Ints, OrbExtractor, grey
+from bench.tracking.relocalise import match_descriptors
+from bench.types import Float, KeyframeDecision, StereoFrame, TrackingResult
+
+_RATIO = 0.8
+"""Lowe's ratio for descriptors of two keyframes."""
+
+# What a frame saw: ids of the tracker's map points, or, from a tracker without features, ORB descriptors.
+Sighting = Ints | Descriptors
+
+
+@dataclass(frozen=True)
+class CovisibilityConfig(PluginConfig):
+    """Settings of the paper's rule (Sec. "KeyFraming"; the paper gives 1.5 and leaves the other numbers open)."""
+
+    iou_threshold: float = 0.9
+    """A frame whose covisibility IoU with the last keyframe is below this becomes a keyframe."""
+    motion_factor: float = 1.5
+    """A frame that moved more than this factor times the motion before becomes a keyframe."""
+    min_translation_m: float = 0.05
+    """Translations from frame to frame below this are noise and no motion."""
+    min_rotation_deg: float = 0.3
+    """Rotations from frame to frame below this are noise and no motion."""
+    window_size: int = 5
+    """Number of active keyframes."""
+    marginalise_iou: float = 0.1
+    """A keyframe leaves the window when its IoU with the newest one falls below this."""
+    features: int = 1000
+    """ORB keypoints a frame, where the tracker gives no landmarks."""
+
+
+@register("keyframer", "covisibility", config=CovisibilityConfig)
+class Covisibility(Keyframer):
+    """Keyframe when the ORB covisibility with the last keyframe is low, or when the motion jumps (the paper's rule)."""
+
+    def __init__(self, config: CovisibilityConfig) -> None:
+        _check(config)
+        self._config = config
+        self._extractor = OrbExtractor(config.features)
+        self._window: list[tuple[int, Sighting]] = []
+        self._last_pose: Float | None = None
+        self._last_motion: tuple[float, float] | None = None
+
+    def update(self, frame: StereoFrame, tracking: TrackingResult) -> KeyframeDecision:
+        """Decide on one tracked frame; the first one is always a keyframe."""
+        seen = self._sighting(frame, tracking)
+        reason = self._sudden_motion(tracking)
+        if not self._window:
+            reason = "first frame"
+        else:
+            overlap = covisibility(seen, self._window[-1][1])
+            if overlap < self._config.iou_threshold:
+                reason = f"covisibility IoU {overlap:.2f} is below {self._config.iou_threshold}"
+        if reason is None:
+            reason = f"covisibility IoU {overlap:.2f} and steady motion"
+            return KeyframeDecision(False, reason, self._numbers())
+        self._admit(frame.number, seen)
+        return KeyframeDecision(True, reason, self._numbers())
+
+    def _sighting(self, frame: StereoFrame, tracking: TrackingResult) -> Sighting:
+        if tracking.landmarks is not None:
+            return np.unique(tracking.landmarks)
+        return self._extractor.extract(grey(frame.left))[0].descriptors
+
+    def _sudden_motion(self, tracking: TrackingResult) -> str | None:
+        """In words, if the motion since the frame before is ``motion_factor`` times the one before (paper, Eq.)."""
+        pose, before, previous = tracking.T_world_cam, self._last_pose, self._last_motion
+        self._last_pose = pose
+        if pose is None or before is None:
+            self._last_motion = None
+            return None
+        step = se3.inverse(before) @ pose
+        motion = (float(np.linalg.norm(step[:3, 3])), float(np.degrees(se3.rotation_angle(step[:3, :3]))))
+        self._last_motion = motion
+        if previous is None:
+            return None
+        config = self._config
+        kinds = (("moved", "m", config.min_translation_m), ("turned", "deg", config.min_rotation_deg))
+        for (verb, unit, floor), now, then in zip(kinds, motion, previous, strict=True):
+            if now > floor and now > config.motion_factor * then:
+                return f"{verb} {now:.2f} {unit}, more than {config.motion_factor} times the {then:.2f} {unit} before"
+        return None
+
+    def _admit(self, number: int, seen: Sighting) -> None:
+        kept = [(n, s) for n, s in self._window if covisibility(seen, s) >= self._config.marginalise_iou]
+        self._window = [*kept, (number, seen)][-self._config.window_size :]
+
+    def _numbers(self) -> tuple[int, ...]:
+        return tuple(number for number, _ in self._window)
+
+
+def covisibility(a: Sighting, b: Sighting) -> float:
+    """Intersection over union of what two frames saw, in [0, 1]; 0 where neither saw anything.
+
+    Landmark ids (N,) are intersected; descriptors (N, 4) are matched (mutual nearest, ratio test), and the IoU is
+    matches / (n1 + n2 - matches). One of each kind (a tracker that changed its mind) counts as 0.
+    """
+    if a.ndim != b.ndim:
+        return 0.0
+    if a.ndim == 1:
+        common = len(np.intersect1d(a, b, assume_unique=True))
+    else:
+        common = len(match_descriptors(a.view(np.uint64), b.view(np.uint64), _RATIO)[0])
+    union = len(a) + len(b) - common
+    return common / union if union else 0.0
+
+
+def _check(config: CovisibilityConfig) -> None:
+    for key in ("iou_threshold", "marginalise_iou"):
+        if not 0.0 <= getattr(config, key) <= 1.0:
+            raise BenchError(f"keyframer.{key}={getattr(config, key)} must lie between 0 and 1.")
+    for key in ("motion_factor", "min_translation_m", "min_rotation_deg"):
+        if not getattr(config, key) >= 0.0:
+            raise BenchError(f"keyframer.{key}={getattr(config, key)} must not be negative.")
+    if config.window_size < 1:
+        raise BenchError(f"keyframer.window_size={config.window_size} must be at least 1.")
+    if config.features < 100:
+        raise BenchError(f"keyframer.features={config.features} is too small; the least is 100.")

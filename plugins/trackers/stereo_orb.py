@@ -1,0 +1,108 @@
+"""Stereo visual odometry on ORB features with a local map: the bench's stand-in for the paper's ORB-SLAM2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.contracts.dataset import Dataset
+from bench.contracts.tracker import Tracker
+from bench.errors import BenchError
+from bench.registry import PluginConfig, register
+from bench.tracking.features import grey
+from bench.tracking.odometry import FramePose, OdometrySettings, StereoOdometry
+from bench.types import Float, StereoFrame, TrackingResult, Trajectory
+
+
+@dataclass(frozen=True)
+class StereoOrbConfig(PluginConfig):
+    """Settings of the tracker. The defaults are tuned on car-borne stereo at 10 Hz and about 1240 x 370 pixels."""
+
+    features: int = 2000
+    """ORB keypoints an image, after bucketing."""
+    octaves: int = 8
+    scale_factor: float = 1.2
+    fast_threshold: int = 10
+    """Least FAST contrast, grey values 0-255; lower finds corners in dim places, higher is faster."""
+    max_depth_baselines: float = 100.0
+    """Map points come from stereo up to this depth, in baselines (100 x 0.54 m = 54 m on KITTI)."""
+    stereo_depth_baselines: float = 35.0
+    """Disparities count as measurements up to this depth (19 m on KITTI, as in ORB-SLAM2's settings); beyond, the depth
+    of a point comes from the camera's motion."""
+    free_keyframes: int = 10
+    """Keyframes that local bundle adjustment moves."""
+    fixed_keyframes: int = 10
+    """Older keyframes that hold it in place."""
+    min_inliers: int = 25
+    """Fewer inliers than this and a frame counts as not tracked."""
+    min_new_map_points: int = 100
+    """Stereo points that a frame needs to begin a new map after a loss."""
+    bridge_frames: int = 5
+    """Untracked frames that go on at constant velocity ("weak") before the map is given up."""
+    keyframe_translation_m: float = 0.3
+    """A frame becomes one of the tracker's own keyframes beyond this motion since the last one ..."""
+    keyframe_rotation_deg: float = 2.0
+    """... or this rotation ..."""
+    keyframe_inlier_ratio: float = 0.75
+    """... or when its inliers fall below this share of the points that the last keyframe saw."""
+
+
+@register("tracker", "stereo_orb", config=StereoOrbConfig)
+class StereoOrb(Tracker):
+    """Stereo ORB odometry with local map and local bundle adjustment, no loop closing; world = first camera."""
+
+    def __init__(self, config: StereoOrbConfig) -> None:
+        _check(config)
+        settings = {key: value for key, value in vars(config).items() if key != "name"}
+        self._settings = OdometrySettings(**settings)
+        self._odometry: StereoOdometry | None = None
+        self._frames: list[tuple[int, float, FramePose]] = []
+
+    def start(self, dataset: Dataset) -> None:
+        """Begin a new sequence with its camera."""
+        self._odometry = StereoOdometry(dataset.camera, self._settings)
+        self._frames = []
+
+    def track(self, frame: StereoFrame) -> TrackingResult:
+        """Pose of the frame after local bundle adjustment; "weak" when only predicted, "lost" without a pose."""
+        assert self._odometry is not None, "start() comes before track()"
+        found = self._odometry.track(grey(frame.left), grey(frame.right), frame.timestamp)
+        self._frames.append((frame.number, frame.timestamp, found))
+        return TrackingResult(found.T_world_cam, found.state, found.inliers, found.rms_px, found.landmarks)
+
+    def trajectory(self) -> Trajectory:
+        """Poses that follow all later corrections of the keyframes they hang on."""
+        kept = [(number, time, found) for number, time, found in self._frames if found.T_world_cam is not None]
+        poses = [self._corrected(found) for _, _, found in kept]
+        return Trajectory(
+            np.array(poses, dtype=np.float64).reshape(-1, 4, 4),
+            np.array([number for number, _, _ in kept], dtype=np.int64),
+            np.array([time for _, time, _ in kept], dtype=np.float64),
+        )
+
+    def _corrected(self, found: FramePose) -> Float:
+        assert self._odometry is not None
+        anchor = np.eye(4) if found.keyframe < 0 else self._odometry.keyframe_pose(found.keyframe)
+        return anchor @ found.T_keyframe_cam
+
+
+def _check(config: StereoOrbConfig) -> None:
+    least = {
+        "features": 100,
+        "octaves": 1,
+        "fast_threshold": 1,
+        "free_keyframes": 1,
+        "fixed_keyframes": 0,
+        "min_inliers": 6,
+        "min_new_map_points": 6,
+        "bridge_frames": 0,
+    }
+    for key, value in least.items():
+        if getattr(config, key) < value:
+            raise BenchError(f"tracker.{key}={getattr(config, key)} is too small; the least is {value}.")
+    if not config.scale_factor > 1:
+        raise BenchError(f"tracker.scale_factor={config.scale_factor} must be above 1; 1.2 is usual.")
+    for key in ("max_depth_baselines", "stereo_depth_baselines"):
+        if not getattr(config, key) > 0:
+            raise BenchError(f"tracker.{key}={getattr(config, key)} must be above 0.")

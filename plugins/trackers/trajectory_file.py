@@ -1,0 +1,125 @@
+"""Tracker that replays a trajectory file, for example one that another SLAM system wrote."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bench.contracts.dataset import Dataset
+from bench.contracts.tracker import Tracker
+from bench.errors import BenchError, require_choice
+from bench.geometry.trajectory_io import read_kitti_poses, read_tum
+from bench.registry import PluginConfig, register
+from bench.types import Float, StereoFrame, TrackingResult, Trajectory
+
+
+@dataclass(frozen=True)
+class TrajectoryFileConfig(PluginConfig):
+    """``path`` of the file; ``format`` is "kitti" (12 numbers a line), "tum" (8) or "auto" (by their count)."""
+
+    path: str = ""
+    format: str = "auto"
+    max_time_difference_s: float = 0.01
+    """How far a TUM pose may be from its frame in time."""
+
+
+@register("tracker", "trajectory_file", config=TrajectoryFileConfig)
+class TrajectoryFile(Tracker):
+    """Poses from a file in KITTI or TUM format.
+
+    KITTI: line k is frame number k, so the file of a whole sequence serves any part of it; a file with exactly as many
+    lines as the data set has frames is taken by position. TUM: the pose nearest in time; frames without one are lost.
+    """
+
+    def __init__(self, config: TrajectoryFileConfig) -> None:
+        require_choice("tracker.format", config.format, ("auto", "kitti", "tum"))
+        if not config.path:
+            raise BenchError("tracker=trajectory_file needs tracker.path=FILE, a trajectory in KITTI or TUM format.")
+        if not config.max_time_difference_s > 0:
+            raise BenchError("tracker.max_time_difference_s must be above 0 seconds.")
+        self._config = config
+        self._path = Path(config.path).expanduser()
+        self._by_number: dict[int, Float] = {}
+        self._by_time: Trajectory | None = None
+        self._frames: list[tuple[int, float, Float]] = []
+        self._seen = self._expected = 0
+
+    def start(self, dataset: Dataset) -> None:
+        """Read the file and check that it covers the data set; raises ``BenchError`` if it does not."""
+        self._by_number, self._by_time, self._frames = {}, None, []
+        self._seen, self._expected = 0, len(dataset)
+        if self._format() == "tum":
+            self._by_time = read_tum(self._path)
+            # The contract has no list of times; the two ends are enough to catch a file of another clock at once.
+            self._check_span(dataset.frame(0).timestamp, dataset.frame(len(dataset) - 1).timestamp)
+            return
+        poses = read_kitti_poses(self._path)
+        if len(poses) == len(dataset):
+            self._by_number = dict(zip(dataset.numbers, poses, strict=True))
+        elif dataset.numbers[-1] < len(poses):
+            self._by_number = {number: poses[number] for number in dataset.numbers}
+        else:
+            raise BenchError(
+                f"{self._path} has {len(poses)} poses, but {dataset.label} has {len(dataset)} frames numbered up to "
+                f"{dataset.numbers[-1]}. It needs one line a frame, or one for every number from 0."
+            )
+
+    def track(self, frame: StereoFrame) -> TrackingResult:
+        """The pose that belongs to the frame, or "lost"."""
+        T = self._by_number.get(frame.number) if self._by_time is None else self._nearest(frame.timestamp)
+        self._seen += 1
+        if T is None:
+            if self._seen == self._expected and not self._frames:
+                raise BenchError(self._no_match("no pose is near any frame in time"))
+            return TrackingResult(None, "lost")
+        self._frames.append((frame.number, frame.timestamp, T))
+        return TrackingResult(T, "ok")
+
+    def trajectory(self) -> Trajectory:
+        """Poses of the frames tracked so far; those without a pose are absent."""
+        numbers, times, poses = zip(*self._frames, strict=True) if self._frames else ((), (), ())
+        T = np.array(poses, dtype=np.float64).reshape(-1, 4, 4)
+        return Trajectory(T, np.array(numbers, dtype=np.int64), np.array(times, dtype=np.float64))
+
+    def _format(self) -> str:
+        if self._config.format != "auto":
+            return self._config.format
+        try:
+            with self._path.open(encoding="utf-8") as file:
+                counts = (len(line.split()) for line in file if line.strip() and not line.lstrip().startswith("#"))
+                count = next(counts, 0)
+        except FileNotFoundError:
+            raise BenchError(f"tracker.path={self._path} does not exist.") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise BenchError(f"tracker.path={self._path} can't be read as text: {error}.") from None
+        formats = {12: "kitti", 8: "tum"}
+        if count not in formats:
+            raise BenchError(
+                f"{self._path} has {count} values in its first line; KITTI has 12 and TUM 8. Set tracker.format to see "
+                "which line is wrong, or convert the file."
+            )
+        return formats[count]
+
+    def _check_span(self, first: float, last: float) -> None:
+        assert self._by_time is not None
+        begin, end, slack = *self._by_time.timestamps[[0, -1]], self._config.max_time_difference_s
+        if begin > last + slack or end < first - slack:
+            raise BenchError(
+                self._no_match(f"its times {begin:.3f} to {end:.3f} s miss the frames' {first:.3f} to {last:.3f} s")
+            )
+
+    def _no_match(self, what: str) -> str:
+        return (
+            f"{self._path}: {what} (tolerance {self._config.max_time_difference_s} s). Use the data set's clock in the "
+            "file, or raise tracker.max_time_difference_s."
+        )
+
+    def _nearest(self, timestamp: float) -> Float | None:
+        assert self._by_time is not None
+        times = self._by_time.timestamps
+        after = int(np.searchsorted(times, timestamp))
+        near = min((i for i in (after - 1, after) if 0 <= i < len(times)), key=lambda i: abs(times[i] - timestamp))
+        close = abs(times[near] - timestamp) <= self._config.max_time_difference_s
+        return self._by_time.T_world_cam[near] if close else None

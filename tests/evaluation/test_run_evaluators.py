@@ -1,0 +1,212 @@
+"""Scoring a saved run whose numbers follow from how it was written."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from tiny_run import HELD_OUT, LEFT_ERROR, LOST, NUMBERS, RIGHT_ERROR, write_tiny_run
+
+from bench.errors import BenchError
+from bench.evaluation.run_evaluators import evaluate_run, merge
+from bench.runs.folder import RunFolder, picture_path
+from bench.runs.saved import SavedRun
+
+
+def psnr_of(*errors: int) -> float:
+    return float(np.mean([20 * math.log10(255 / error) for error in errors]))
+
+
+def no_constants(value: str) -> None:
+    raise AssertionError(f"{value} in JSON")
+
+
+def test_metrics_are_those_that_the_run_was_made_with(tiny_run: Path) -> None:
+    metrics = evaluate_run(tiny_run)
+    views = metrics["views"]
+    assert {group: views[group]["n"] for group in views} == {"left": 4, "train": 3, "heldout": 1, "right": 4}
+    assert views["left"]["psnr_db"] == pytest.approx(psnr_of(*LEFT_ERROR.values()))
+    assert views["train"]["psnr_db"] == pytest.approx(psnr_of(1, 2, 4))
+    assert views["heldout"]["psnr_db"] == pytest.approx(psnr_of(LEFT_ERROR[HELD_OUT]))
+    assert views["right"]["psnr_db"] == pytest.approx(psnr_of(RIGHT_ERROR))
+    assert views["heldout"]["ssim"] < views["train"]["ssim"] < 1
+    assert metrics["trajectory"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
+    assert metrics["frames"] == {"total": 5, "tracked": 4, "lost": 1, "mapped": 3}
+    assert metrics["map"] == {"gaussians": 1234}
+    assert metrics["resources"]["peak_memory_gb"] == 0.5
+    assert metrics["protocol"]["holdout_every"] == 5
+
+
+def test_depth_is_scored_on_left_views_with_returns(tiny_run: Path) -> None:
+    """LiDAR says 12 m, the render 10 m; nothing was rendered in the held-out frame; frame 14 has no scan."""
+    metrics = evaluate_run(tiny_run)
+    views = metrics["views"]
+    assert views["train"]["depth_l1_cm"] == pytest.approx(200.0)
+    assert views["heldout"]["depth_l1_cm"] == pytest.approx(1200.0)
+    assert views["left"]["depth_l1_cm"] == pytest.approx((200 + 200 + 1200) / 3)
+    assert "depth_l1_cm" not in views["right"]
+    assert metrics["notes"]["depth_l1"] == "3 of 4 left views have LiDAR returns in range"
+
+
+def test_the_stamp_says_when_mapping_saw_right_images(tiny_run: Path) -> None:
+    assert evaluate_run(tiny_run)["protocol"]["right_images_mapped"] is False
+    frames = pd.read_csv(tiny_run / "frames.csv")
+    frames["right_mapped"] = frames["number"] == 11
+    frames.to_csv(tiny_run / "frames.csv", index=False)
+    assert evaluate_run(tiny_run)["protocol"]["right_images_mapped"] is True
+
+
+def test_files_hold_the_same_and_no_nan(tiny_run: Path) -> None:
+    metrics = evaluate_run(tiny_run)
+    written = json.loads((tiny_run / "metrics.json").read_text(), parse_constant=no_constants)
+    assert written == json.loads(json.dumps(metrics))
+    resources = json.loads((tiny_run / "resources.json").read_text(), parse_constant=no_constants)
+    assert resources["mapping_s_per_frame"] is None
+    table = pd.read_csv(tiny_run / "per_frame.csv").set_index(["view", "number"])
+    assert len(table) == 8
+    assert table.loc[("left", 11), "psnr_db"] == pytest.approx(psnr_of(2))
+    assert table.loc[("left", 10), "lidar_pixels"] == 20 * 56
+
+
+def test_evaluating_again_gives_the_same_bytes(tiny_run: Path) -> None:
+    evaluate_run(tiny_run)
+    first = {name: (tiny_run / name).read_bytes() for name in ("metrics.json", "per_frame.csv")}
+    evaluate_run(tiny_run)
+    assert first == {name: (tiny_run / name).read_bytes() for name in first}
+
+
+def test_each_frame_is_decoded_once(tiny_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = SavedRun(tiny_run)
+    decoded = run.dataset.decoded  # type: ignore[attr-defined]
+    monkeypatch.setattr("bench.evaluation.run_evaluators.SavedRun", lambda path: run)
+    steps: list[tuple[str, int, int]] = []
+    evaluate_run(tiny_run, lambda *step: steps.append(step))
+    assert decoded == [number for number in NUMBERS if number != LOST]
+    assert steps[-1][1] == steps[-1][2] == 4
+
+
+def test_lpips_is_reported_or_explained(
+    tmp_path: Path, tiny_config: dict[str, Any], weights_root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tiny_config["protocol"]["lpips"] = True
+    run = write_tiny_run(tmp_path / "run", tiny_config)
+    monkeypatch.setattr("plugins.evaluators.image_quality.find_alexnet_weights", lambda _: "no weights: looked around")
+    metrics = evaluate_run(run)
+    assert metrics["views"]["left"]["lpips"] is None
+    assert metrics["notes"]["lpips"] == "no weights: looked around"
+    monkeypatch.undo()
+    tiny_config["protocol"]["lpips_weights"] = str(weights_root / "lpips" / "alex_features.npz")
+    metrics = evaluate_run(write_tiny_run(tmp_path / "other", tiny_config))
+    assert (
+        0
+        < metrics["views"]["train"]["lpips"]
+        < metrics["views"]["heldout"]["lpips"]
+        < metrics["views"]["right"]["lpips"]
+    )
+    assert "lpips_weights" not in metrics["protocol"]
+    assert len(metrics["protocol"]["lpips_weights_sha256"]) == 64
+
+
+def test_an_interrupted_run_is_scored_as_far_as_it_got(tmp_path: Path, tiny_config: dict[str, Any]) -> None:
+    run = write_tiny_run(tmp_path / "run", tiny_config, state="interrupted")
+    for number in (13, 14):
+        picture_path(run, "left", "color", number).unlink()
+    for name in ("resources.json", "trajectory.csv"):
+        (run / name).unlink()
+    metrics = evaluate_run(run)
+    assert metrics["views"]["left"]["n"] == 2
+    assert "heldout" not in metrics["views"]
+    assert metrics["resources"]["peak_memory_gb"] is None
+    assert metrics["map"] == {"gaussians": None}
+    assert metrics["notes"]["ate"] == "the run stopped before it saved its trajectory"
+
+
+def test_a_run_that_failed_at_once_has_metrics_without_views(tmp_path: Path, tiny_config: dict[str, Any]) -> None:
+    folder = RunFolder.create(tmp_path / "run", tiny_config, "hash", rerun=False)
+    folder.set_status("failed", "no image", 0, 7)
+    folder.write_frames([])
+    metrics = evaluate_run(folder.path)
+    assert metrics["views"] == {}
+    assert metrics["frames"] == {"total": 7, "tracked": 0, "lost": 0, "mapped": 0}
+
+
+def test_a_finished_run_that_lacks_a_render_is_an_error(tiny_run: Path) -> None:
+    picture_path(tiny_run, "right", "color", 11).unlink()
+    with pytest.raises(BenchError, match=r"right/color/000011\.png is missing though the run is done"):
+        evaluate_run(tiny_run)
+
+
+def test_without_right_views_there_is_no_right_group(tmp_path: Path, tiny_config: dict[str, Any]) -> None:
+    tiny_config["protocol"]["right_view"] = False
+    assert "right" not in evaluate_run(write_tiny_run(tmp_path / "run", tiny_config))["views"]
+
+
+def test_two_evaluators_may_not_disagree() -> None:
+    metrics: dict[str, Any] = {"views": {"left": {"n": 3}}}
+    merge(metrics, {"views": {"left": {"n": 3, "ssim": 0.5}, "right": {"n": 1}}})
+    assert metrics == {"views": {"left": {"n": 3, "ssim": 0.5}, "right": {"n": 1}}}
+    with pytest.raises(BenchError, match=r"Two evaluators give views\.left\.n as 3 and 4"):
+        merge(metrics, {"views": {"left": {"n": 4}}})
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "message"),
+    [
+        ("frames.csv", None, r"frames\.csv is missing: the run did not get far enough"),
+        ("frames.csv", "number,state\n1,ok\n", r"frames\.csv lacks the column 'timestamp'"),
+        ("trajectory.csv", "number,timestamp\n1", r"trajectory\.csv lacks the column 'T_00'"),
+        ("status.json", '{"state": "done"', r"status\.json is damaged \(line 1"),
+        ("status.json", '{"state": "gone"}', r"status\.json names no known state"),
+        ("status.json", None, r"is incomplete: it has no status\.json"),
+        ("resources.json", "[1]", r"resources\.json should hold a JSON object"),
+        ("config.yaml", "a: 1", r"is no run folder: it has no config\.yaml"),
+        ("views/left/color/000011.png", "cut off", r"left/color/000011\.png is damaged"),
+        ("views/left/depth/000010.png", "", r"left/depth/000010\.png is damaged"),
+    ],
+)
+def test_damaged_folders_are_named(tiny_run: Path, file: str, content: str | None, message: str) -> None:
+    if content is None:
+        (tiny_run / file).unlink()
+    else:
+        (tiny_run / file).write_text(content)
+    with pytest.raises(BenchError, match=message):
+        evaluate_run(tiny_run)
+    assert not (tiny_run / "metrics.json").exists()
+
+
+def test_a_folder_that_is_no_run(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match="There is no run folder"):
+        SavedRun(tmp_path / "nothing")
+    with pytest.raises(BenchError, match=r"has no config\.yaml that `bgs-bench run` wrote"):
+        SavedRun(tmp_path)
+
+
+def test_trajectories_come_back_bit_by_bit(tmp_path: Path, tiny_run: Path) -> None:
+    from bench.runs.trajectory_csv import as_csv, read_trajectory_csv
+    from bench.types import Trajectory
+
+    T = np.tile(np.eye(4), (50, 1, 1))
+    T[:, :3] = np.random.default_rng(0).normal(size=(50, 3, 4)) / 3
+    one = Trajectory(T, np.arange(50), np.random.default_rng(1).uniform(size=50))
+    (tmp_path / "t.csv").write_text(as_csv(one))
+    two = read_trajectory_csv(tmp_path / "t.csv")
+    assert np.array_equal(one.T_world_cam, two.T_world_cam)
+    assert np.array_equal(one.timestamps, two.timestamps)
+    assert list(SavedRun(tiny_run).trajectory.numbers) == [10, 11, 13, 14]
+
+
+def test_depth_comes_back_in_metres(tiny_run: Path) -> None:
+    run = SavedRun(tiny_run)
+    depth = run.depth("left", 10)
+    assert depth is not None
+    assert np.all(depth == 10.0)
+    hole = run.depth("left", HELD_OUT)
+    assert hole is not None
+    assert np.isnan(hole).all()
+    assert run.depth("left", LOST) is None
+    assert run.render("right", LOST) is None

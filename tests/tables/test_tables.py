@@ -1,0 +1,157 @@
+"""Tables of finished, failed, half-written and damaged runs."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.commands import list as list_command
+from bench.commands import table as table_command
+from bench.errors import BenchError
+from bench.runs.folder import RunFolder
+from bench.tables.collect import collect_row, find_runs
+from bench.tables.render import as_latex, as_markdown
+
+CONFIG: dict[str, Any] = {
+    "dataset": {"name": "kitti", "sequence": "06"},
+    "system": "bgs_slam",
+    "stereo": {"name": "sgbm"},
+    "tracker": {"name": "stereo_orb"},
+}
+METRICS: dict[str, Any] = {
+    "protocol": {"name": "heldout", "alignment": "se3", "depth_max_m": None},
+    "trajectory": {"ate_rmse_m": 0.12345},
+    "views": {
+        "left": {"n": 10, "psnr_db": 23.456, "ssim": 0.8123, "lpips": None, "depth_l1_cm": 187.65},
+        "heldout": {"n": 2, "psnr_db": 21.5},
+        "right": {"n": 10, "psnr_db": 21.75},
+    },
+    "resources": {
+        "peak_memory_gb": 1.234,
+        "tracking_s_per_frame": 0.1,
+        "stereo_s_per_frame": 0.05,
+        "mapping_s_per_frame": 2.5,
+    },
+    "map": {"gaussians": 123456},
+    "notes": {"lpips": "no AlexNet weights"},
+}
+
+
+def make_run(path: Path, state: str, metrics: dict[str, Any] | None, reason: str = "") -> Path:
+    folder = RunFolder.create(path, CONFIG, "h", rerun=False)
+    folder.set_status(state, reason, 10 if state == "done" else 3, 10)
+    if metrics is not None:
+        folder.write_json("metrics.json", metrics)
+    return path
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """One folder with a finished run, one out of memory, one damaged, one that only began."""
+    make_run(tmp_path / "a_done", "done", METRICS)
+    make_run(tmp_path / "b_oom", "out_of_memory", None, "asked for 40 GB")
+    make_run(tmp_path / "c_damaged", "done", METRICS)
+    (tmp_path / "c_damaged" / "metrics.json").write_text('{"views": {')
+    RunFolder.create(tmp_path / "d_begun", CONFIG, "h", rerun=False)
+    (tmp_path / "not_a_run").mkdir()
+    return tmp_path
+
+
+def cells(markdown: str, run: str) -> dict[str, str]:
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in markdown.splitlines() if line[:1] == "|"]
+    return next(dict(zip(lines[0], line, strict=True)) for line in lines[2:] if line[0] == run)
+
+
+def test_a_finished_run_has_its_numbers_rounded(runs: Path) -> None:
+    row = cells(as_markdown([collect_row(runs / "a_done")]), "a_done")
+    assert row["Dataset"] == "kitti/06"
+    assert (row["System"], row["Stereo"], row["Tracker"], row["Status"]) == ("bgs_slam", "sgbm", "stereo_orb", "done")
+    assert (row["ATE [m]"], row["PSNR [dB]"], row["SSIM"], row["LPIPS"]) == ("0.123", "23.46", "0.812", "-")
+    assert (row["Depth-L1 [cm]"], row["Held-out PSNR [dB]"], row["Right PSNR [dB]"]) == ("187.7", "21.50", "21.75")
+    assert (row["Gaussians"], row["Memory [GB]"], row["Time [s/frame]"]) == ("123,456", "1.23", "2.65")
+    assert row["Frames"] == "10/10"
+
+
+def test_failed_and_damaged_runs_have_a_row_that_says_so(runs: Path) -> None:
+    rows = [collect_row(folder) for folder in find_runs([runs])]
+    text = as_markdown(rows)
+    assert [row.values["run"] for row in rows] == ["a_done", "b_oom", "c_damaged", "d_begun"]
+    assert cells(text, "b_oom")["Status"] == "out of memory"
+    assert cells(text, "b_oom")["Frames"] == "3/10"
+    assert cells(text, "c_damaged")["Status"] == "done (damaged)"
+    assert cells(text, "c_damaged")["PSNR [dB]"] == "-"
+    assert cells(text, "d_begun")["Status"] == "no status"
+    assert "metrics.json is damaged (line 1" in text
+    assert "- b_oom: stopped: asked for 40 GB" in text
+
+
+def test_odd_values_do_not_stop_the_table(tmp_path: Path) -> None:
+    odd = {"views": [], "trajectory": {"ate_rmse_m": "far"}, "resources": {"mapping_s_per_frame": "slow"}, "notes": 3}
+    row = collect_row(make_run(tmp_path / "odd", "done", odd))
+    assert row.values["s_per_frame"] is None
+    assert "odd" in as_markdown([row])
+
+
+def test_the_protocol_and_the_notes_stand_below_the_table(runs: Path) -> None:
+    text = as_markdown([collect_row(runs / "a_done")])
+    assert "- Protocol: name heldout, alignment se3, depth_max_m none." in text
+    assert "- a_done: lpips: no AlexNet weights" in text
+
+
+def test_latex_has_booktabs_rules_and_escapes_names(runs: Path) -> None:
+    text = as_latex([collect_row(runs / "a_done")])
+    assert r"a\_done & kitti/06 & bgs\_slam" in text
+    for rule in (r"\toprule", r"\midrule", r"\bottomrule", r"\end{tabular}"):
+        assert rule in text
+    body = [line for line in text.splitlines() if line.endswith(r"\\")]
+    columns = text.partition(r"\begin{tabular}{")[2].partition("}")[0]
+    assert {line.count(" & ") + 1 for line in body} == {len(columns)}
+    assert "--" in body[1].split(" & "), "a value that is not known is a dash"
+
+
+def test_the_command_writes_every_form(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = [tmp_path / "tables" / f"all{suffix}" for suffix in (".md", ".csv", ".tex")]
+    parser = argparse.ArgumentParser()
+    table_command.add_parser(parser.add_subparsers())
+    arguments = parser.parse_args(["table", str(runs), "--out", *map(str, out)])
+    assert arguments.run(arguments) == 0
+    with open(out[1], newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert rows[0]["psnr_db"] == "23.456"
+    assert rows[0]["lpips"] == ""
+    assert rows[1]["status"] == "out of memory"
+    assert out[0].read_text().startswith("| Run |")
+    printed = capsys.readouterr().out
+    for name in ("a_done", "b_oom", "c_damaged", "d_begun"):
+        assert sum(name in line and "kitti/06" in line for line in printed.splitlines()) == 1
+    with pytest.raises(BenchError, match=r"--out x\.html: the extension says the form"):
+        table_command.run(argparse.Namespace(runs=[runs], out=[Path("x.html")]))
+
+
+def test_folders_without_runs_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(BenchError, match="is no run folder and holds none"):
+        find_runs([tmp_path])
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BenchError, match="There is no folder results/runs"):
+        find_runs([])
+
+
+def test_list_has_one_line_a_plugin_and_the_broken_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken: dict[str, str] = {}
+    for module in ("bench.registry", "bench.discovery"):
+        monkeypatch.setattr(f"{module}.broken_files", broken)
+    (tmp_path / "my_net.py").write_text("import a_package_that_is_not_there\n")
+    assert list_command.run(argparse.Namespace(kind="evaluator", plugins=[str(tmp_path)])) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[1] for line in lines[:4]] == ["ate", "depth_l1", "image", "resources"]
+    assert all(line.split()[2] == "available" for line in lines[:4])
+    assert lines[4].startswith("broken")
+    assert "my_net.py: ModuleNotFoundError: No module named 'a_package_that_is_not_there'" in lines[4]
+    with pytest.raises(BenchError, match=r"kind='evaluators' is not one of .* Did you mean 'evaluator'\?"):
+        list_command.run(argparse.Namespace(kind="evaluators", plugins=[]))
