@@ -104,4 +104,4 @@ def read_rgb(path: Path, size: tuple[int, int]) -> Image:
         raise BenchError(
             f"The image {path} is {image.shape[1]}x{image.shape[0]} pixels; expected {size[0]}x{size[1]}. Replace it."
         )
-    return image
+    return np.asarray(image, dtype=np.uint8)

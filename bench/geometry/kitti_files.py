@@ -71,13 +71,13 @@ class KittiCalibration:
         if P is None:
             have = ", ".join(self._matrices) or "nothing"
             raise BenchError(
-                f"{self.path} has no line 'P{index}:' (it has {have}), which the chosen camera pair needs. Take calib.txt "
+                f"{self.path} has no line 'P{index}:' (it has {have}), which the camera pair needs. Take calib.txt "
                 "from KITTI's data_odometry_calib.zip, or choose the other dataset.camera."
             )
         K = P[:, :3]
         if not (K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1]) and abs(K[0, 1]) < 1e-9):
             raise BenchError(f"{self.path}: P{index} is not the projection of a rectified camera. Restore the file.")
-        return K, np.linalg.solve(K, P[:, 3])
+        return K, np.linalg.solve(K, P[:, 3]).astype(np.float64)
 
     def T_cam0_velodyne(self) -> Float:
         """4x4 rigid transform from the LiDAR's frame to cam0's; ``BenchError`` if ``Tr`` is absent."""
@@ -85,8 +85,8 @@ class KittiCalibration:
         Tr = self._matrices.get("Tr", self._matrices.get("Tr_velo_to_cam"))
         if Tr is None:
             raise BenchError(
-                f"{self.path} has no line 'Tr:' although there are velodyne scans. Unpack KITTI's data_odometry_calib.zip, "
-                "whose calib.txt has it, or move the velodyne folder away."
+                f"{self.path} has no line 'Tr:' although there are velodyne scans. Unpack KITTI's "
+                "data_odometry_calib.zip, whose calib.txt has it, or move the velodyne folder away."
             )
         return np.vstack([Tr, [0.0, 0.0, 0.0, 1.0]])
 

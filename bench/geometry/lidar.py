@@ -24,8 +24,8 @@ def check_scan_file(path: Path) -> None:
         )
     if size % POINT_BYTES:
         raise BenchError(
-            f"The velodyne file {path} has {size} bytes, which is no multiple of {POINT_BYTES} (x, y, z, reflectance as "
-            "float32): it is cut off. Copy it again, or remove it (the frame then has no LiDAR)."
+            f"The velodyne file {path} has {size} bytes, which is no multiple of {POINT_BYTES} (x, y, z, reflectance "
+            "as float32): it is cut off. Copy it again, or remove it (the frame then has no LiDAR)."
         )
 
 

@@ -1,9 +1,9 @@
 """Exact ray casting of a scene for separable grids of rays.
 
 Ray (i, j) of a grid is ``rows[i] + columns[j]``. That covers a pinhole camera (columns (x, 0, 1), rows (0, y, 0); the
-range is then the depth z) and a spinning LiDAR (columns (sin a, 0, cos a), rows (0, -tan e, 0); the range is horizontal).
-A linear functional of the ray is then an outer sum, and for a plane the inverse range and the tests against a
-polygon's edges are linear functionals: a polygon costs a few additions and comparisons per ray of its window.
+range is then the depth z) and a spinning LiDAR (columns (sin a, 0, cos a), rows (0, -tan e, 0); the range is then
+horizontal). A linear functional of the ray is then an outer sum, and for a plane the inverse range and the tests
+against a polygon's edges are linear functionals: a polygon costs a few additions and comparisons a ray of its window.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _DECAL_SLACK = np.float32(1.0 + 1e-4)
 class RayGrid:
     """Rays from a pose: ``T_world_sensor`` (4, 4), ``columns`` (W, 3) and ``rows`` (H, 3) float64 in the sensor's axes.
 
-    ``columns`` have slopes x / z that increase. ``planar_rows`` says that row i sees exactly the slope y / z = rows[i, 1].
+    ``columns`` have slopes x / z that increase. ``planar_rows`` says that row i sees the slope y / z = rows[i, 1].
     """
 
     T_world_sensor: Float

@@ -30,8 +30,8 @@ _VARIETY = np.random.default_rng(7).random(1024).astype(np.float32)
 
 @dataclass(frozen=True)
 class Patch:
-    """N hits on surfaces of one kind, all float32: coordinates u, v (N,) in metres from the surface's first corner (u along
-    its first edge), the extent of the surface (N,), the patch that a ray covers (N,), and the surface's look."""
+    """N hits on surfaces of one kind, all float32: coordinates u, v (N,) in metres from the surface's first corner (u
+    along its first edge), the extent of the surface (N,), the patch that a ray covers (N,), and the surface's look."""
 
     u: Map
     v: Map
@@ -73,7 +73,7 @@ def wall(patch: Patch) -> Map:
 
 
 def facade(patch: Patch) -> Map:
-    """Plaster with storeys of windows, cornices, a plinth and doors; no window within 0.6 m of the top."""
+    """Plaster with storeys of windows, cornices, a plinth and doors."""
     color = wall(patch)
     fu, fv = patch.footprint_u, patch.footprint_v
     cornice = stripes(patch.v - np.float32(0.12), _STOREY_M, 0.10, fv) * (patch.v > 1.0)
@@ -166,7 +166,7 @@ def metal(patch: Patch) -> Map:
 def sign(patch: Patch) -> Map:
     """A coloured square with a white field."""
     fu, fv = patch.footprint_u, patch.footprint_v
-    u, v = patch.u - patch.extent_u / 2, patch.v - patch.extent_v / 2
+    u, v = patch.u - patch.extent_u * np.float32(0.5), patch.v - patch.extent_v * np.float32(0.5)
     white = band(u, -0.22, 0.22, fu) * band(v, -0.22, 0.22, fv) - band(u, -0.12, 0.12, fu) * band(v, -0.04, 0.04, fv)
     return _mix(_rough(patch, 0.05, 0.03, 0.0), np.full(3, 0.9, dtype=np.float32), np.clip(white, 0.0, 1.0))
 
@@ -187,7 +187,7 @@ def bark(patch: Patch) -> Map:
 
 
 def ground(s: Map, d: Map, footprint_s: Map, footprint_d: Map) -> Map:
-    """Road with markings, parking lanes, kerbs, sidewalks of slabs, and grass beyond; s, d are street coordinates (N,)."""
+    """Road with markings, parking lanes, kerbs, sidewalks, and grass beyond; s, d are street coordinates (N,)."""
     fs, fd = footprint_s, footprint_d
     fine = sample_noise(s, d, fs, fd)
     k = np.float32(1.0 / 6.7)

@@ -36,7 +36,7 @@ _ON_POLYGONS = {
 
 @dataclass(frozen=True)
 class Scene:
-    """What the light falls on: the surfaces, the path for the ground's markings, and the camera's place on it (metres)."""
+    """What the light falls on: the surfaces, the path for the ground's markings, the camera's place on it (metres)."""
 
     surfaces: Surfaces
     path: StreetPath
@@ -102,9 +102,9 @@ def shade(scene: Scene, T_world_cam: Float, samples: Samples) -> Map:
             # Metal is on boxes and on cylinders; everything else on one or the other.
             flat = samples.surface[index] < scene.surfaces.first_ellipsoid
             if flat.any():
-                color[index[flat]] = _shade_polygons(scene, T_world_cam, Material(kind), samples.at(index[flat]))
+                color[index[flat]] = _shade_polygons(scene, T_world_cam, Material(int(kind)), samples.at(index[flat]))
             if not flat.all():
-                color[index[~flat]] = _shade_round(scene, T_world_cam, Material(kind), samples.at(index[~flat]))
+                color[index[~flat]] = _shade_round(scene, T_world_cam, Material(int(kind)), samples.at(index[~flat]))
     return np.clip(color, 0.0, 1.0)
 
 
@@ -117,9 +117,10 @@ def _light(normals: Float | Map) -> Map:
 def _along_axis(samples: Samples, normal: Map, axis: Map, start: Map) -> tuple[Map, Map, Map]:
     """Coordinate along ``axis`` and its change to the neighbouring ray right and below, each (N,).
 
-    ``normal`` (N, 3) is the plane's functional (inverse range = normal . ray), ``axis`` (N, 3) the coordinate's direction,
-    both in camera axes; ``start`` (N,) the coordinate of the camera. From u = start + (axis . r) / (normal . r) follows
-    du/dr = t (axis - (u - start) normal). ``normal`` and ``axis`` may be (3,) and ``start`` a number.
+    ``normal`` (N, 3) is the plane's functional (inverse range = normal . ray), ``axis`` (N, 3) the coordinate's
+    direction, both in camera axes; ``start`` (N,) the coordinate of the camera. From
+    u = start + (axis . r) / (normal . r) follows du/dr = t (axis - (u - start) normal). ``normal`` and ``axis`` may
+    also be (3,), and ``start`` a number.
     """
     rays, distance = samples.rays, samples.distance
     along = (rays[:, 0] * axis[..., 0] + rays[:, 1] * axis[..., 1] + axis[..., 2]) * distance

@@ -37,7 +37,7 @@ GROUND_ID = 1
 
 @dataclass(frozen=True)
 class Look:
-    """Material, albedo (RGB in 0..1), where in the noise texture the surface begins, and a number for its variations."""
+    """Material, albedo (RGB in 0..1), where in the noise texture the surface begins, a number for variations."""
 
     material: Material
     albedo: tuple[float, float, float]

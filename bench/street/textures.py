@@ -13,6 +13,9 @@ import numpy as np
 
 from bench.types import Image, Map
 
+# One number or one for each ray.
+Floats = np.float32 | Map
+
 TEXELS = 1024
 TEXEL_M = 0.01
 _LEVELS = 9
@@ -94,21 +97,24 @@ def _remap(ripmap: Image, x: Map, y: Map) -> Image:
     folded = np.zeros((2, rows * _ROW), dtype=np.float32)
     folded[0, :n], folded[1, :n] = x, y
     x2, y2 = folded.reshape(2, rows, _ROW)
-    return cv2.remap(ripmap, x2, y2, cv2.INTER_LINEAR).reshape(-1, ripmap.shape[2])[:n]
+    sampled = cv2.remap(ripmap, x2, y2, cv2.INTER_LINEAR)
+    return np.asarray(sampled, dtype=np.uint8).reshape(-1, ripmap.shape[2])[:n]
 
 
-def band(x: Map, low: float | Map, high: float | Map, footprint: Map) -> Map:
+def band(x: Map, low: float | Floats, high: float | Floats, footprint: Map) -> Map:
     """Share of the interval of length ``footprint`` around x that lies in [low, high], in 0..1."""
     half = footprint * np.float32(0.5)
-    return (np.clip(x + half, low, high) - np.clip(x - half, low, high)) / footprint
+    share: Map = (np.clip(x + half, low, high) - np.clip(x - half, low, high)) / footprint
+    return share
 
 
-def stripes(x: Map, period: float | Map, half_width: float | Map, footprint: Map) -> Map:
+def stripes(x: Map, period: float | Floats, half_width: float | Floats, footprint: Map) -> Map:
     """Share of the interval around x that lies within ``half_width`` of a multiple of ``period``, in 0..1."""
 
     def integral(at: Map) -> Map:
         cycle = np.floor(at / period + np.float32(0.5))
-        return cycle * (2 * half_width) + np.clip(at - cycle * period, -half_width, half_width)
+        total: Map = cycle * (2 * half_width) + np.clip(at - cycle * period, -half_width, half_width)
+        return total
 
     half = footprint * np.float32(0.5)
     return (integral(x + half) - integral(x - half)) / footprint

@@ -20,15 +20,13 @@ def match_descriptors(a: Descriptors, b: Descriptors, ratio: float) -> tuple[Int
     """Indices (M,), (M,) of descriptors (A, 4) and (B, 4) that are each other's nearest and pass Lowe's test."""
     if len(a) < 2 or len(b) < 2:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    forward = matcher.knnMatch(a.view(np.uint8), b.view(np.uint8), k=2)
-    nearest = np.array([(m.trainIdx, m.distance, n.distance) for m, n in forward])
-    backward = np.array([m.trainIdx for m in matcher.match(b.view(np.uint8), a.view(np.uint8))])
-    index = nearest[:, 0].astype(np.int64)
-    good = (nearest[:, 1] <= _MAX_HAMMING) & (nearest[:, 1] < ratio * nearest[:, 2])
-    good &= backward[index] == np.arange(len(a))
-    row = np.flatnonzero(good)
-    return row, index[row]
+    left, right = a.view(np.uint8), b.view(np.uint8)
+    distance, nearest = cv2.batchDistance(left, right, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2)
+    _, nearest_back = cv2.batchDistance(right, left, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=1)
+    best, second = np.asarray(distance).T
+    back = np.asarray(nearest_back)[nearest[:, 0], 0]
+    good = (best <= _MAX_HAMMING) & (best < ratio * second) & (back == np.arange(len(a)))
+    return np.flatnonzero(good), nearest[good, 0].astype(np.int64)
 
 
 def pose_by_pnp(camera: StereoCamera, points: Float, uv: Float) -> Float | None:

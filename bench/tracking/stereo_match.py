@@ -29,10 +29,11 @@ def match_stereo(
     """Disparity (N,) in pixels of each left keypoint, NaN where it has none.
 
     Keypoints are paired by descriptor within a band of rows, then 11x11 windows on the left keypoint's octave give the
-    sub-pixel part by a parabola (the scheme of Mur-Artal and Tardos, ORB-SLAM2, 2017). The cost is the sum of squares of
-    differences, less the windows' means, and not ORB-SLAM2's sum of absolute ones: that has a kink where a parabola
-    expects a smooth minimum, and on a made-up pair of known shift its error is eight times as large. The result is that of an ideal pair, fx * baseline / depth, also where the right camera is off by
-    millimetres in y and z (``StereoCamera.right_position``). Points nearer than four baselines are not looked for.
+    sub-pixel part by a parabola (the scheme of Mur-Artal and Tardos, ORB-SLAM2, 2017). The cost is the sum of squared
+    differences less the windows' means, and not ORB-SLAM2's sum of absolute ones: that has a kink where a parabola
+    expects a smooth minimum, and on a made-up pair of known shift its error is eight times as large. The result is the
+    disparity of an ideal pair, fx * baseline / depth, also where the right camera is off by millimetres in y and z
+    (``StereoCamera.right_position``). Points nearer than four baselines are not looked for.
     """
     disparity = np.full(len(left), np.nan)
     pair_left, pair_right = _pair(left, right, left_pyramid, camera)
@@ -63,7 +64,7 @@ def _pair(left: Features, right: Features, pyramid: Pyramid, camera: StereoCamer
 def _refine(
     left: Features, right: Features, pair_left: Ints, pair_right: Ints, left_pyramid: Pyramid, right_pyramid: Pyramid
 ) -> tuple[Float, Float, Mask]:
-    """Disparity in octave pixels (M,), RMS difference (M,), and whether the minimum is inside the search range (M,) bool."""
+    """Disparity in octave pixels (M,), RMS difference (M,), and whether there is a minimum (M,)."""
     octave = left.octave[pair_left]
     at_left = np.rint(left_pyramid.to_octave(left.xy[pair_left], octave)).astype(np.int64)
     at_right = np.rint(right_pyramid.to_octave(right.xy[pair_right], octave)).astype(np.int64)

@@ -89,8 +89,8 @@ class Folder(Dataset):
         poses, times = _read_either(Path(path).expanduser())
         if len(poses) <= numbers[-1]:
             raise BenchError(
-                f"{path} has {len(poses)} poses, too few for image {numbers[-1]} (counted from 0). Give one line an image, "
-                f"or choose dataset.frames up to {len(poses)}."
+                f"{path} has {len(poses)} poses, too few for image {numbers[-1]} (counted from 0). Give one line an "
+                f"image, or choose dataset.frames up to {len(poses)}."
             )
         return poses[numbers], numbers / _RATE_HZ if times is None else times[numbers]
 

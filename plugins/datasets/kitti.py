@@ -25,7 +25,7 @@ _RATE_HZ = 10.0
 
 @dataclass(frozen=True)
 class KittiConfig(PluginConfig):
-    """``root`` holds ``sequences/`` and ``poses/``; ``frames`` is ``"a:b"`` or ``"a:b:step"``, empty for all on disk."""
+    """``root`` holds ``sequences/`` and ``poses/``; ``frames`` is ``"a:b"`` or ``"a:b:step"``, empty for all."""
 
     root: str = ""
     sequence: str = "06"
@@ -113,8 +113,8 @@ class Kitti(Dataset):
         last = self.numbers[-1]
         if len(poses) <= last:
             raise BenchError(
-                f"{path} has {len(poses)} poses, too few for frame {last}. Restore the file, move it away to run without "
-                f"ground truth, or choose dataset.frames up to {len(poses)}."
+                f"{path} has {len(poses)} poses, too few for frame {last}. Restore the file, move it away to run "
+                f"without ground truth, or choose dataset.frames up to {len(poses)}."
             )
         return poses[np.array(self.numbers)]
 

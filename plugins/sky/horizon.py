@@ -16,7 +16,7 @@ from bench.types import DepthMap, Image, Map, Mask, StereoCamera
 _WORKING_WIDTH = 320
 # Windows in working pixels: the sky's colour around a place, stereo's opinion around a place, the edge to sharpen.
 _COLOR_WINDOW = (61, 61)
-_NEAR_WINDOW = (13, 13)
+_NEAR_WINDOW = (7, 7)
 _SEAM_WINDOW = (5, 5)
 # A sky with at least this share of blue is a blue sky, in which no part is without any blue.
 _BLUE_SKY = 0.2
@@ -30,21 +30,21 @@ _BRIGHTEST = 1.25
 
 @dataclass(frozen=True)
 class HorizonConfig(PluginConfig):
-    """``min_luma``: of a grey or white sky, in grey levels of 255; ``min_blue``: (blue - red) / brightest of a blue one.
+    """``min_luma``: of a grey or white sky, in grey levels; ``min_blue``: (blue - red) / brightest, of a blue one.
 
-    ``max_step``: largest change between neighbours where the search begins, in grey levels. ``max_disparity`` in pixels:
-    what is nearer is no sky, where more than a share ``max_near`` of the known pixels around is near (blue sky, in which
-    stereo matches wrongly, is exempt). ``min_relative`` and ``max_tint``: how bright, relative to the sky around, and how
-    different in tint, in grey levels, a pixel of the sky may be.
+    ``max_step``: largest change between neighbours where the search begins, in grey levels. ``max_disparity`` in
+    pixels: what is nearer is no sky, where a share of more than ``max_near`` of the pixels around is near (blue sky, in
+    which stereo matches wrongly, is exempt). ``min_relative`` and ``max_tint``: how bright, relative to the sky around,
+    and how different in tint, in grey levels, a pixel of the sky may be.
     """
 
     min_luma: float = 110.0
     min_blue: float = 0.30
-    max_step: float = 14.0
+    max_step: float = 20.0
     max_disparity: float = 3.0
     max_near: float = 0.5
     min_relative: float = 0.88
-    max_tint: float = 28.0
+    max_tint: float = 45.0
 
 
 @register("sky", "horizon", config=HorizonConfig)
@@ -82,11 +82,10 @@ class Horizon(SkySegmenter):
         return (bright | blue) & (step < self._config.max_step)
 
     def _near(self, depth: Map, camera: StereoCamera, size: tuple[int, int]) -> Mask:
-        """Where most of the known pixels around are too near for sky."""
+        """Where too many of the pixels around are too near for sky; unknown ones count as far."""
         limit = camera.fx * camera.baseline / self._config.max_disparity
-        known = cv2.resize(np.isfinite(depth).astype(np.float32), size, interpolation=cv2.INTER_AREA)
         near = cv2.resize((depth < limit).astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        return cv2.blur(near, _NEAR_WINDOW) > self._config.max_near * np.maximum(cv2.blur(known, _NEAR_WINDOW), 0.1)
+        return cv2.blur(near, _NEAR_WINDOW) > self._config.max_near
 
     def _sharpen(self, image: Image, luma_around: Map, sky: Mask) -> Mask:
         """The mask at full size: all of its inside, and in a seam along its edge what looks like the sky around."""
@@ -105,11 +104,12 @@ class Horizon(SkySegmenter):
 
 def _luma_and_tint(small: Map) -> tuple[Map, Map]:
     """Brightness, and blue minus red, (h, w) float32 in grey levels."""
-    return cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), small[..., 2] - small[..., 0]
+    luma = np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), dtype=np.float32)
+    return luma, small[..., 2] - small[..., 0]
 
 
 def _mean_around(values: Map, where: Mask) -> Map:
-    """Mean of ``values`` over the pixels ``where`` in the window around each place; the mean of all where there is none."""
+    """Mean of ``values`` over the pixels ``where`` in the window around each place, or of all if it has none."""
     weight = cv2.blur(where.astype(np.float32), _COLOR_WINDOW)
     total = cv2.blur(np.where(where, values, np.float32(0.0)), _COLOR_WINDOW)
     return np.where(weight > 1e-4, total / np.maximum(weight, np.float32(1e-4)), values[where].mean())
@@ -118,8 +118,8 @@ def _mean_around(values: Map, where: Mask) -> Map:
 def _reaching_top(mask: Mask, luma: Map, blue: Mask) -> Mask:
     """The connected parts of ``mask`` that reach one of the two topmost rows.
 
-    In a blue sky those without any blue are left out, and so are parts much darker than the brightest: walls in the shade
-    are bluish.
+    In a blue sky those without any blue are left out, and so are parts much darker than the brightest: walls in the
+    shade are bluish.
     """
     count, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
     keep = np.zeros(count, dtype=bool)

@@ -32,7 +32,7 @@ class Lidar(DepthSource):
         depth = dataset.lidar_depth(position)
         if depth is None:
             raise BenchError(
-                f"stereo=lidar: {dataset.label} has no LiDAR scan for frame {dataset.numbers[position]}. Add the scans, "
-                "choose dataset.frames that have one, or another stereo plugin such as stereo=sgbm."
+                f"stereo=lidar: {dataset.label} has no LiDAR scan for frame {dataset.numbers[position]}. Add the "
+                "scans, choose dataset.frames that have one, or another stereo plugin such as stereo=sgbm."
             )
         return DepthMap(depth, "lidar")

@@ -27,8 +27,8 @@ class SgbmConfig(PluginConfig):
     """``p1`` and ``p2`` are smoothness penalties for block_size^2 and one channel; ``uniqueness`` is in percent;
     ``speckle_size`` in pixels, 0 for no filter; ``lr_max_diff`` in pixels.
 
-    ``full_check`` matches the right image too instead of reading its disparities off the left's costs. Measured: twice the
-    time, 40 % fewer outliers, 5 % fewer pixels.
+    ``full_check`` matches the right image too instead of reading its disparities off the left's costs. Measured: twice
+    the time, 40 % fewer outliers, 5 % fewer pixels.
     """
 
     num_disparities: int = 96
@@ -53,7 +53,8 @@ class Sgbm(StereoBackbone):
         n = config.num_disparities
         if n < 16 or n % 16:
             raise BenchError(
-                f"stereo.num_disparities={n} must be a positive multiple of 16, for example {max(16, (n + 15) // 16 * 16)}."
+                f"stereo.num_disparities={n} must be a positive multiple of 16, for example "
+                f"{max(16, (n + 15) // 16 * 16)}."
             )
         if config.block_size < 1 or config.block_size % 2 == 0:
             raise BenchError(f"stereo.block_size={config.block_size} must be odd, for example 5.")
@@ -67,7 +68,7 @@ class Sgbm(StereoBackbone):
         channels = 3 if config.color else 1
         area = channels * config.block_size**2
         self._config = config
-        self._matcher = cv2.StereoSGBM_create(
+        self._matcher = cv2.StereoSGBM.create(
             minDisparity=0,
             numDisparities=n,
             blockSize=config.block_size,
@@ -84,12 +85,12 @@ class Sgbm(StereoBackbone):
     def disparity(self, left: Image, right: Image) -> Map:
         """Disparity of the left image in pixels, (H, W) float32, NaN where unmatched or inconsistent."""
         if not self._config.color:
-            left, right = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right))
+            left, right = _gray(left), _gray(right)
         disparity = self._match(left, right)
         if self._config.full_check:
             # The right image's disparities are those of the mirrored pair with the sides exchanged.
-            mirrored = self._match(cv2.flip(right, 1), cv2.flip(left, 1))
-            disparity[~_consistent(disparity, cv2.flip(mirrored, 1), self._config.lr_max_diff)] = np.nan
+            mirrored = self._match(_mirrored(right), _mirrored(left))
+            disparity[~_consistent(disparity, mirrored[:, ::-1], self._config.lr_max_diff)] = np.nan
         return disparity
 
     def _match(self, left: Image, right: Image) -> Map:
@@ -102,10 +103,25 @@ class Sgbm(StereoBackbone):
         return disparity
 
 
+def _gray(image: Image) -> Image:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+
+
+def _mirrored(image: Image) -> Image:
+    return np.ascontiguousarray(image[:, ::-1])
+
+
 def _consistent(left: Map, right: Map, max_diff: float) -> Mask:
-    """Where the right image's disparity, at the pixel that the left one points to, differs by ``max_diff`` px or less."""
+    """Where the right image's disparity, at the pixel the left one points to, differs by ``max_diff`` px or less."""
     height, width = left.shape
     columns = np.arange(width, dtype=np.float32) - left
     rows = np.repeat(np.arange(height, dtype=np.float32)[:, None], width, axis=1)
-    there = cv2.remap(right, columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+    there = cv2.remap(
+        np.ascontiguousarray(right),
+        columns,
+        rows,
+        cv2.INTER_NEAREST,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=np.nan,
+    )
     return np.abs(there - left) <= max_diff

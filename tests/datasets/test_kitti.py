@@ -164,7 +164,11 @@ BAD_ROOTS: dict[str, tuple[Callable[[Path, Path], None], dict[str, str], str]] =
     "NaN pose": (poses(r"\A(.*\n)\S+", r"\1nan"), {}, r"04.txt, line 2: NaN"),
     "scaled rotation": (poses(r"\A\S+", "1.1"), {}, r"04.txt, line 1: .* rotation"),
     "few times": (lambda r, f: (f / "times.txt").write_text("0.0\n0.1\n"), {}, r"times.txt has 2 times"),
-    "times fall": (lambda r, f: (f / "times.txt").write_text("0.0\n0.2\n0.1\n0.3\n"), {}, r"times.txt, line 3: .*increase"),
+    "times fall": (
+        lambda r, f: (f / "times.txt").write_text("0.0\n0.2\n0.1\n0.3\n"),
+        {},
+        r"times.txt, line 3: .*increase",
+    ),
     "empty scan": (truncate("velodyne/000001.bin", 0), {}, r"000001.bin is empty"),
     "short scan": (truncate("velodyne/000002.bin", 20), {}, r"000002.bin has 20 bytes"),
     "no such sequence": (lambda r, f: None, {"sequence": "17"}, r"dataset.sequence=17 does not exist .* holds 04"),
@@ -181,7 +185,9 @@ def test_bad_roots_are_named_before_decoding(tmp_path: Path, case: str, monkeypa
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("make", "message"), [("", "is not set"), ("gone", "does not exist"), ("empty", "no folder 'seq")])
+@pytest.mark.parametrize(
+    ("make", "message"), [("", "is not set"), ("gone", "does not exist"), ("empty", "no folder 'seq")]
+)
 def test_bad_root_folder(tmp_path: Path, make: str, message: str) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(BenchError, match=message):

@@ -60,11 +60,10 @@ def test_error_arrives_at_its_frame() -> None:
         if position == 3:
             raise BenchError("frame 103 is damaged")
 
-    seen = []
+    frames = prefetch(Counted(fail))
+    assert [next(frames)[0] for _ in range(3)] == [0, 1, 2]
     with pytest.raises(BenchError, match="frame 103 is damaged"):
-        for position, _ in prefetch(Counted(fail)):
-            seen.append(position)
-    assert seen == [0, 1, 2]
+        next(frames)
     assert prefetch_threads() == 0
 
 

@@ -21,7 +21,10 @@ def street() -> Street:
 def backproject(camera: StereoCamera, depth: Map) -> Float:
     """Points (H, W, 3) in the camera's frame of all pixels."""
     v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
-    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1) * depth[..., None]
+    return (
+        np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+        * depth[..., None]
+    )
 
 
 def photometric_difference(camera: StereoCamera, image: Image, depth: Map, other: Image, T_other_cam: Float) -> Map:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.tracking.matching import KeypointIndex, choose_one_to_one, hamming
-from bench.tracking.relocalise import pose_by_pnp
+from bench.tracking.relocalise import match_descriptors, pose_by_pnp
 from bench.types import StereoCamera
 
 
@@ -55,3 +55,19 @@ def test_pnp_does_not_depend_on_opencv_s_global_seed(seed: int) -> None:
     np.testing.assert_allclose(T[:3, 3], (-0.5, -0.1, -2.0), atol=1e-3)
     cv2.setRNGSeed(99)
     np.testing.assert_array_equal(T, pose_by_pnp(camera, points, uv))
+
+
+def test_descriptors_match_as_opencv_matches_them() -> None:
+    """Oracle: OpenCV's brute-force matcher with cross check, and its two nearest neighbours for the ratio."""
+    rng = np.random.default_rng(0)
+    a = rng.integers(0, 256, (200, 32), dtype=np.uint8)
+    b = a[rng.permutation(200)[:150]].copy()
+    b ^= np.packbits(rng.random((150, 256)) < 0.12, axis=1)
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    mutual = {(m.queryIdx, m.trainIdx) for m in cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(a, b)}
+    clear = {
+        (m.queryIdx, m.trainIdx) for m, n in matcher.knnMatch(a, b, k=2) if m.distance < min(0.8 * n.distance, 60.5)
+    }
+    found = match_descriptors(a.view(np.uint64), b.view(np.uint64), ratio=0.8)
+    assert set(zip(*(x.tolist() for x in found), strict=True)) == mutual & clear
+    assert len(found[0]) > 100

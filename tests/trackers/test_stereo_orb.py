@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -65,7 +66,7 @@ def test_wall_is_passed_at_the_right_speed(wall: Any) -> None:
 
 def test_landmarks_follow_the_wall(wall: Any) -> None:
     results = drive(stereo_orb(features=800), wall, list(range(4)))
-    for before, now in zip(results, results[1:], strict=False):
+    for before, now in itertools.pairwise(results):
         assert before.landmarks is not None
         assert now.landmarks is not None
         assert len(np.unique(now.landmarks)) == len(now.landmarks) >= now.inliers > 0
