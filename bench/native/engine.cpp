@@ -105,6 +105,7 @@ void Workspace::sort_by_depth(int chunks) {
     pool().run(tasks, [&](int task) {
         const size_t end = std::min(n, static_cast<size_t>(task + 1) * CHUNK);
         for (size_t j = static_cast<size_t>(task) * CHUNK; j < end; ++j) {
+            if (j + 16 < end) __builtin_prefetch(&projected[order[j + 16]]);
             records[j] = projected[order[j]];
             rank[records[j].id] = static_cast<int32_t>(j);
         }
