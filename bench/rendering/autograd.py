@@ -11,7 +11,11 @@ from bench.contracts.rasterizer import Gradients, PinholeView, Rasterizer, Rende
 
 
 class AutogradRasterizer(Rasterizer):
-    """An author writes ``splat``, differentiable by the planes and by the twist; the rest follows."""
+    """An author writes ``splat``, differentiable by the planes and by the twist; the rest follows.
+
+    ``dtype`` is what ``splat`` computes in; images and gradients come back in the dtype of the planes that were given, so
+    an oracle in float64 serves mapping (float32) too.
+    """
 
     dtype = torch.float32
 
@@ -24,8 +28,9 @@ class AutogradRasterizer(Rasterizer):
         twist = torch.zeros(6, dtype=self.dtype, device=self.device, requires_grad=differentiable)
         with torch.set_grad_enabled(differentiable):
             color, depth, alpha, visible = self.splat(leaf, view, twist)
-        context = (leaf, twist, color, depth, alpha, visible) if differentiable else None
-        return Rendered(color.detach(), depth.detach(), alpha.detach(), context)
+        context = (leaf, twist, color, depth, alpha, visible, planes.dtype) if differentiable else None
+        images = [image.detach().to(planes.dtype) for image in (color, depth, alpha)]
+        return Rendered(images[0], images[1], images[2], context)
 
     def backward(
         self,
@@ -35,14 +40,19 @@ class AutogradRasterizer(Rasterizer):
         grad_alpha: Tensor | None,
         pose: bool = False,
     ) -> Gradients:
-        leaf, twist, *images, visible = rendered.context
-        pairs = [(i, g) for i, g in zip(images, (grad_color, grad_depth, grad_alpha), strict=True) if g is not None]
-        by_planes, by_twist = torch.autograd.grad(
-            [image for image, _ in pairs], [leaf, twist], [g.to(self.dtype) for _, g in pairs], allow_unused=True
-        )
+        leaf, twist, *images, visible, dtype = rendered.context
         rendered.context = None
-        by_planes = torch.zeros_like(leaf) if by_planes is None else by_planes
-        return Gradients(by_planes, visible, by_twist.double() if pose and by_twist is not None else None)
+        pairs = [(i, g) for i, g in zip(images, (grad_color, grad_depth, grad_alpha), strict=True) if g is not None]
+        by_planes, by_twist = torch.zeros_like(leaf), torch.zeros_like(twist)
+        if pairs:
+            by_planes, by_twist = torch.autograd.grad(
+                [image for image, _ in pairs],
+                [leaf, twist],
+                [g.to(self.dtype) for _, g in pairs],
+                allow_unused=True,
+                materialize_grads=True,
+            )
+        return Gradients(by_planes.to(dtype), visible, by_twist.double() if pose else None)
 
 
 def perturbed(T_cam_world: Tensor, twist: Tensor) -> tuple[Tensor, Tensor]:

@@ -28,7 +28,8 @@ from bench.types import Keyframe, MappingReport, RenderedView, StereoCamera, Tra
 class GaussianMapperConfig(PluginConfig):
     """Settings of mapping; the defaults are those of ``system=bgs_slam`` (see METHOD in the README for the paper's).
 
-    ``iterations``: rendered views a keyframe; ``final_iterations``: over all keyframes at the end. ``coarse_share``: the
+    ``iterations``: rendered views when a keyframe arrives; ``final_iterations``: rendered views a keyframe at the end, drawn
+    from all keyframes alike. ``coarse_share``: the
     first part of the iterations runs at half resolution. A view is the newest keyframe with probability ``newest_share``,
     one of the window with ``window_share``, else an older one. ``*_rate``: Adam's rates (colour, rotation, scale,
     opacity: the paper's, "Implementation Details"; position: metres a metre of depth). ``prune_opacity``: the paper's
@@ -36,8 +37,8 @@ class GaussianMapperConfig(PluginConfig):
     keyframes keep their derived images in memory.
     """
 
-    iterations: int = 60
-    final_iterations: int = 0
+    iterations: int = 40
+    final_iterations: int = 15
     coarse_share: float = 0.4
     newest_share: float = 0.4
     window_share: float = 0.45
@@ -108,7 +109,7 @@ class GaussianMapper(Mapper):
         if not self._keyframes:
             return
         numbers = list(self._keyframes)
-        for _ in range(self.config.final_iterations):
+        for _ in range(self.config.final_iterations * len(numbers)):
             self._iterate(int(self._random.choice(numbers)), half=False)
         self._prune()
 
