@@ -10,7 +10,7 @@ from bench.errors import BenchError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a sub-command. Exit code 0 = done, 1 = a run failed, 2 = wrong input (one line, no traceback), 130 = Ctrl-C."""
+    """Run a sub-command. Exit code 0 = done, 1 = a run failed, 2 = wrong input, 130 = Ctrl-C."""
     from bench.commands import evaluate, list, run, table
 
     parser = argparse.ArgumentParser(
@@ -19,13 +19,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in (run, list, table, evaluate):
         command.add_parser(subparsers)
-    args = parser.parse_args(arguments)
+    args, left = parser.parse_known_args(arguments)
+    # argparse takes `run a=1 -m b=2` for two lists of overrides and knows a place for the first only.
+    if left and (not hasattr(args, "overrides") or any(argument.startswith("-") for argument in left)):
+        parser.error(f"unrecognized arguments: {' '.join(left)}")
+    if left:
+        args.overrides += left
     try:
         code: int = args.run(args)
         return code
     except BenchError as error:
         print(f"bgs-bench: {error}", file=sys.stderr)
-        return 2
+        return 1 if isinstance(error, run.RunFailedError) else 2
     except KeyboardInterrupt:
         print("bgs-bench: interrupted; what was done is in the run folder", file=sys.stderr)
         return 130

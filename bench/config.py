@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import json
+import re
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +24,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bench import registry
 from bench.discovery import load_plugins
-from bench.errors import BenchError, did_you_mean
+from bench.errors import BenchError, did_you_mean, require_choice
 from bench.evaluation.protocol import Protocol
 from bench.registry import KINDS, SEVERAL_AT_ONCE, PluginConfig
 
@@ -96,6 +98,7 @@ def register_schema() -> None:
 
 def compose_run(overrides: Sequence[str]) -> RunConfig:
     """Compose a run from command-line overrides (Hydra syntax); raises ``BenchError`` with the accepted names."""
+    overrides = with_home(overrides)
     parsed = check_overrides(overrides)
     with _hydra():
         try:
@@ -105,11 +108,39 @@ def compose_run(overrides: Sequence[str]) -> RunConfig:
     return resolved(composed)
 
 
+def compose_sweep(overrides: Sequence[str]) -> list[RunConfig]:
+    """Compose every combination that ``-m`` would run, so that a wrong value is known before the first run starts."""
+    choices: list[list[str]] = []
+    for override in check_overrides(with_home(overrides)):
+        line = override.input_line or ""
+        if not override.is_sweep_override():
+            choices.append([line])
+            continue
+        try:
+            choices.append([f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()])
+        except HydraException as error:
+            raise BenchError(f"{line}: {_first_line(error)}. Write the values with commas between them.") from error
+    return [compose_run(cell) for cell in itertools.product(*choices)]
+
+
+def with_home(overrides: Sequence[str]) -> list[str]:
+    """Overrides with a value's ``~/`` replaced: shells leave it there after ``=``, and Hydra's syntax has no ``~``."""
+    return [re.sub(r"(?<=[=\[,])~(?=/)", str(Path.home()), override) for override in overrides]
+
+
 def resolved(composed: DictConfig) -> RunConfig:
-    """Plain data and hash of a composed config; relative paths become absolute."""
-    values = OmegaConf.to_container(composed, resolve=True)
+    """Plain data and hash of a composed config; relative paths become absolute. ``BenchError`` for what is not set."""
+    try:
+        values = OmegaConf.to_container(composed, resolve=True)
+        missing = sorted(OmegaConf.missing_keys(composed))
+    except OmegaConfBaseException as error:
+        reason = _first_line(error)
+        raise BenchError(f"The config can't be resolved: {reason}. Change the value that refers to it.") from error
+    if missing:
+        raise BenchError(f"{missing[0]} has no value (???). Give {missing[0]}=VALUE.")
     assert isinstance(values, dict)
     plain: dict[str, Any] = {str(key): value for key, value in values.items()}
+    _check_root(plain)
     for kind in KINDS:
         if plain[kind] is None and kind not in SEVERAL_AT_ONCE:
             raise BenchError(f"No {kind} is chosen; there are {', '.join(registry.names(kind))}.")
@@ -121,6 +152,18 @@ def resolved(composed: DictConfig) -> RunConfig:
     return RunConfig(plain, hashlib.sha256(text.encode()).hexdigest()[:12])
 
 
+def _check_root(values: Mapping[str, Any]) -> None:
+    """Raise ``BenchError`` for a key that no run has (Hydra's ``+key=`` adds any), or a seed that is no seed."""
+    accepted = [setting.name for setting in dataclasses.fields(RootConfig)]
+    for key in values:
+        if key not in accepted:
+            raise BenchError(
+                f"There is no setting '{key}'; there are {', '.join(accepted)}.{did_you_mean(key, accepted)}"
+            )
+    if values["seed"] < 0:
+        raise BenchError(f"seed={values['seed']} is negative; choose 0 or more.")
+
+
 def plugin_config_from(kind: str, mapping: Mapping[str, Any]) -> PluginConfig:
     """The typed config of a plugin from plain data (``mapping["name"]`` names it); raises ``BenchError``."""
     plugin = registry.lookup(kind, str(mapping.get("name", "")))
@@ -128,14 +171,27 @@ def plugin_config_from(kind: str, mapping: Mapping[str, Any]) -> PluginConfig:
     for key in mapping:
         if key not in accepted:
             raise BenchError(
-                f"{kind}={plugin.name} has no setting '{key}'; it has {', '.join(accepted)}.{did_you_mean(key, accepted)}"
+                f"{kind}={plugin.name} has no setting '{key}'; it has {', '.join(accepted)}."
+                f"{did_you_mean(key, accepted)}"
             )
     try:
         config = OmegaConf.to_object(OmegaConf.merge(registry.config_node(plugin.config), dict(mapping)))
     except OmegaConfBaseException as error:
         raise BenchError(f"{kind}={plugin.name}: {_first_line(error)}") from error
     assert isinstance(config, plugin.config)
+    _check_lengths(kind, config)
     return config
+
+
+def _check_lengths(kind: str, config: PluginConfig) -> None:
+    """Raise ``BenchError`` for a list in place of a tuple of another length, which OmegaConf lets pass."""
+    for name, annotation in typing.get_type_hints(type(config)).items():
+        parts = typing.get_args(annotation)
+        if typing.get_origin(annotation) is not tuple or Ellipsis in parts:
+            continue
+        value = getattr(config, name)
+        if len(value) != len(parts):
+            raise BenchError(f"{kind}.{name}={list(value)} has {len(value)} values; give {len(parts)}.")
 
 
 def check_overrides(overrides: Sequence[str]) -> list[Override]:
@@ -145,11 +201,10 @@ def check_overrides(overrides: Sequence[str]) -> list[Override]:
         parsed = OverridesParser.create().parse_overrides(list(overrides))
     except OverrideParseException as error:
         raise BenchError(
-            f"Can't read the override '{error.override}': {_first_line(error)}. Write key=value, for example stereo=sgbm; "
-            "quote values with spaces or special characters."
+            f"Can't read the override '{error.override}': {_first_line(error)}. Write key=value, for example "
+            "stereo=sgbm; quote values with spaces or special characters."
         ) from error
-    folders = next((o.value() for o in parsed if o.get_key_element() == "plugins"), [])
-    load_plugins([str(f) for f in folders] if isinstance(folders, list) else [str(folders)])
+    load_plugins(_plugin_folders(parsed))
     for override in parsed:
         group = override.key_or_group
         if group not in _groups() or override.is_delete() or override.is_sweep_override():
@@ -159,10 +214,18 @@ def check_overrides(overrides: Sequence[str]) -> list[Override]:
             if str(name) not in _options(group):
                 if group in KINDS:
                     _raise_unknown(group, str(name))
-                raise BenchError(
-                    f"{group}={name} is not one of {', '.join(_options(group))}.{did_you_mean(str(name), _options(group))}"
-                )
+                require_choice(group, str(name), _options(group))
     return parsed
+
+
+def _plugin_folders(parsed: list[Override]) -> list[str]:
+    override = next((o for o in parsed if o.get_key_element() == "plugins"), None)
+    if override is None:
+        return []
+    if override.is_sweep_override():
+        raise BenchError(f"{override.input_line} can't be swept; several folders are written plugins=[ONE,OTHER].")
+    folders = override.value()
+    return [str(folder) for folder in folders] if isinstance(folders, list) else [str(folders)]
 
 
 def _raise_unknown(kind: str, name: str) -> typing.NoReturn:
@@ -195,6 +258,9 @@ class _hydra:  # noqa: N801 - reads as a context manager
 def _explain(error: Exception, parsed: list[Override]) -> str:
     """One sentence for what Hydra or OmegaConf complained about: what, where, and what is accepted."""
     cause = error.__cause__ if isinstance(error, ConfigCompositionException) and error.__cause__ else error
+    for override in parsed:
+        if override.is_sweep_override():
+            return f"{override.input_line} names several values; add -m to run them all, or quote the value."
     choices = [o.input_line or "" for o in parsed if o.key_or_group in _groups()]
     try:
         base = compose("config", choices)
@@ -213,8 +279,6 @@ def _explain(error: Exception, parsed: list[Override]) -> str:
                 return f"{override.input_line}: {where}{names}.{did_you_mean(part, accepted)}"
             path = f"{path}.{part}" if path else part
             node = node[part]
-        if override.is_sweep_override():
-            return f"{override.input_line} names several values; add -m to run them all, or quote the value."
         try:
             compose("config", [*choices, override.input_line or ""])
         except (HydraException, OmegaConfBaseException) as wrong:

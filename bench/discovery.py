@@ -1,4 +1,4 @@
-"""The three routes by which plugins come: files under ``plugins/``, installed packages, and folders named by the user."""
+"""The three routes by which plugins come: files under ``plugins/``, installed packages, and the user's own folders."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def load_plugins(folders: Iterable[str] = ()) -> None:
     """Import every plugin; call it as often as you like, also first thing in a worker process.
 
     ``folders`` are the user's own plugin folders (``plugins=[~/mine]``); every ``*.py`` directly in them is imported.
-    A file that fails to import is recorded in ``registry.broken_files`` with the reason and breaks nothing else, but two
-    plugins of the same name are an error (``BenchError``).
+    A file that fails to import is recorded in ``registry.broken_files`` with the reason and breaks nothing else, but
+    two plugins of the same name are an error (``BenchError``).
     """
     for module in pkgutil.walk_packages(builtin_plugins.__path__, "plugins."):
         if not module.ispkg:
@@ -42,12 +42,14 @@ def _load_folder(folder: Path) -> None:
         if name in sys.modules:
             continue
         spec = importlib.util.spec_from_file_location(name, file)
-        assert spec is not None and spec.loader is not None
+        assert spec is not None
+        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         try:
             spec.loader.exec_module(module)
         except BenchError:
+            del sys.modules[name]
             raise
         except Exception as error:
             del sys.modules[name]
@@ -65,5 +67,6 @@ def _import(module: str, label: str) -> None:
 
 def _record(label: str, error: Exception) -> None:
     where = traceback.extract_tb(error.__traceback__)
-    line = f" (line {where[-1].lineno} of {where[-1].filename})" if where else ""
+    # A syntax error names its place itself; the traceback ends in the import machinery.
+    line = f" (line {where[-1].lineno} of {where[-1].filename})" if where and not isinstance(error, SyntaxError) else ""
     broken_files[label] = f"{type(error).__name__}: {error}{line}"

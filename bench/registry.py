@@ -50,7 +50,7 @@ class Plugin:
     summary: str
 
     def unavailable_reason(self) -> str | None:
-        """Why the plugin can't run here (with the command that mends it), or None; asks ``cls.unavailable_reason()``."""
+        """Why the plugin can't run here, with the command that mends it, or None; asks ``cls.unavailable_reason()``."""
         check = getattr(self.cls, "unavailable_reason", None)
         return check() if check is not None else None
 
@@ -72,10 +72,9 @@ def register(kind: str, name: str, config: type[PluginConfig] = PluginConfig) ->
     def add(cls: C) -> C:
         file = inspect.getfile(cls)
         known = _plugins.get((kind, name))
-        if known is not None and known.file != file:
-            raise BenchError(
-                f"Two {kind} plugins are called '{name}': {known.file} and {file}. Rename one of them."
-            )
+        if known is not None and (known.file, known.cls.__qualname__) != (file, cls.__qualname__):
+            places = [f"{plugin.__qualname__} in {where}" for plugin, where in ((known.cls, known.file), (cls, file))]
+            raise BenchError(f"Two {kind} plugins are called '{name}': {' and '.join(places)}. Rename one of them.")
         summary = (inspect.getdoc(cls) or "").split("\n", 1)[0]
         _plugins[kind, name] = Plugin(kind, name, cls, config, file, summary)
         ConfigStore.instance().store(
@@ -90,7 +89,7 @@ def register(kind: str, name: str, config: type[PluginConfig] = PluginConfig) ->
 
 
 def config_node(config: Any) -> Container:
-    """A typed node for Hydra's ConfigStore. Frozen dataclasses are fine: only their instances are read-only, not the node."""
+    """A typed node for Hydra's ConfigStore; a frozen dataclass's instances are read-only, but not this node."""
     node = OmegaConf.structured(config)
     pending = [node]
     while pending:
@@ -102,7 +101,7 @@ def config_node(config: Any) -> Container:
 
 def _children(container: Container) -> list[Any]:
     keys = range(len(container)) if isinstance(container, ListConfig) else list(container)
-    return [container._get_node(key) for key in keys]  # type: ignore[attr-defined]
+    return [container._get_node(key) for key in keys]
 
 
 def names(kind: str) -> list[str]:

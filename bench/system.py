@@ -92,8 +92,8 @@ class _Progress:
 def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder:
     """Run the configured system and save the run; returns its folder.
 
-    Raises ``BenchError`` before anything is written for bad input that can be known beforehand. What goes wrong later is
-    recorded in ``status.json`` (failed, out_of_memory, interrupted), what was done is saved, and the error goes on.
+    Raises ``BenchError`` before anything is written for bad input that can be known beforehand. What goes wrong later
+    is recorded in ``status.json`` (failed, out_of_memory, interrupted), what was done is saved, and the error goes on.
     """
     torch.manual_seed(config.values["seed"])
     system = System.build(config)
@@ -104,8 +104,8 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
     memory = PeakMemory()
     with folder.attach_log(), _terminate_as_interrupt():
         folder.set_status("running", frames_total=total)
-        folder.write_json(PROVENANCE_FILE, collect_provenance(config.values, config.values["seed"], {}))
         try:
+            folder.write_json(PROVENANCE_FILE, collect_provenance(config.values, config.values["seed"], {}))
             _run_frames(system, done, progress)
             with done.timed("mapping"):
                 system.mapper.update_poses(system.tracker.trajectory())
@@ -116,8 +116,13 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
         except BaseException as error:
             state, reason = _how_it_ended(error)
             log.exception("The run ended early: %s", reason)
-            _save(system, folder, done, memory)
-            folder.set_status(state, reason, frames_done=len(done.rows), frames_total=total)
+            try:
+                _save(system, folder, done, memory)
+            except Exception:
+                # What ended the run is what the user must hear of; that it broke the saving too is in the log.
+                log.exception("What was done could not all be saved")
+            finally:
+                folder.set_status(state, reason, frames_done=len(done.rows), frames_total=total)
             raise
     return folder
 
@@ -127,7 +132,7 @@ def _run_frames(system: System, done: _Progress, progress: Progress | None) -> N
     for position, frame in frames:
         seconds_before = dict(done.seconds)
         with done.timed("tracking"):
-            tracking = system.tracker.track(frame)
+            tracking = _checked(system.tracker.track(frame), frame, system.tracker)
         row: dict[str, Any] = {
             "number": frame.number,
             "timestamp": frame.timestamp,
@@ -146,6 +151,19 @@ def _run_frames(system: System, done: _Progress, progress: Progress | None) -> N
         done.rows.append(row)
         if progress is not None:
             progress(len(done.rows), len(system.dataset), done.psnr_db)
+
+
+def _checked(tracking: TrackingResult, frame: StereoFrame, tracker: Tracker) -> TrackingResult:
+    """The tracker's answer, if it is one; raises ``BenchError`` that says what was wrong with it."""
+    pose = tracking.T_world_cam
+    lost = tracking.state == "lost"
+    if lost != (pose is None) or (pose is not None and (np.shape(pose) != (4, 4) or not np.isfinite(pose).all())):
+        got = "None" if pose is None else f"shape {np.shape(pose)}" + ("" if np.isfinite(pose).all() else " with NaN")
+        raise BenchError(
+            f"{type(tracker).__name__}.track returned state '{tracking.state}' with a pose of {got} for frame "
+            f"{frame.number}; expected a finite 4x4 pose, or None with state 'lost'."
+        )
+    return tracking
 
 
 def _map_frame(
@@ -209,7 +227,8 @@ def _save(system: System, folder: RunFolder, done: _Progress, memory: PeakMemory
     per_frame = {f"{stage}_s_per_frame": seconds / frames for stage, seconds in done.seconds.items()}
     folder.write_json(
         RESOURCES_FILE,
-        {"peak_memory_gb": memory.peak_gb(), "gaussians": system.mapper.gaussians, "frames": len(done.rows)} | per_frame,
+        {"peak_memory_gb": memory.peak_gb(), "gaussians": system.mapper.gaussians, "frames": len(done.rows)}
+        | per_frame,
     )
 
 
@@ -221,12 +240,16 @@ def _ground_truth_so_far(dataset: Dataset, done: _Progress) -> Trajectory | None
     return Trajectory(truth.T_world_cam[:n], truth.numbers[:n], truth.timestamps[:n])
 
 
+# How torch's and OpenCV's own errors on the CPU speak of it.
+_MEMORY_WORDS = ("can't allocate memory", "Insufficient memory")
+
+
 def _how_it_ended(error: BaseException) -> tuple[str, str]:
     """State and reason for ``status.json``."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted", "stopped by the user"
     text = str(error) or type(error).__name__
-    if isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in text:
+    if isinstance(error, MemoryError | torch.OutOfMemoryError) or any(words in text for words in _MEMORY_WORDS):
         return "out_of_memory", text.split("\n", 1)[0]
     return "failed", text if isinstance(error, BenchError) else f"{type(error).__name__}: {text}"
 

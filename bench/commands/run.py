@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import logging
+import os
 import sys
+import traceback
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,15 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from bench.config import RunConfig, check_overrides, compose_run, config_folder, resolved
+from bench.config import RunConfig, compose_run, compose_sweep, config_folder, resolved, with_home
 from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
+from bench.runs.folder import LOG_FILE
+from bench.runs.status import read_status
 from bench.system import run_system
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
-
-log = logging.getLogger(__name__)
 
 _EXAMPLES = """examples:
   bgs-bench run
@@ -32,7 +33,6 @@ _EXAMPLES = """examples:
 # Hydra keeps its own folders and logs out of the way: run folders are ours.
 _QUIET_HYDRA = [
     "hydra.run.dir=.",
-    "hydra.sweep.dir=.",
     "hydra.sweep.subdir=.",
     "hydra.output_subdir=null",
     "hydra/job_logging=none",
@@ -95,17 +95,28 @@ def _run_one(config: RunConfig, console: Console) -> Path:
     except (BenchError, KeyboardInterrupt):
         raise
     except Exception as error:
-        raise RunFailed(f"{type(error).__name__}: {error} (see {config.output}/log.txt)") from error
+        raise RunFailedError(_failure(error, config.output)) from error
     return folder.path
 
 
-class RunFailed(BenchError):
-    """A run broke; the run folder's log has the traceback."""
+class RunFailedError(BenchError):
+    """A run broke for another reason than wrong input; the run folder's log has the traceback."""
+
+
+def _failure(error: Exception, folder: Path) -> str:
+    """One line: the error, where it was raised, and the log, if the run came so far as to have one."""
+    raised = traceback.extract_tb(error.__traceback__)[-1]
+    status = read_status(folder)
+    ours = status is not None and status.pid == os.getpid() and status.state != "done"
+    log_file = f"; the traceback is in {folder / LOG_FILE}" if ours else ""
+    text = " ".join(str(error).split())
+    return f"The run failed: {type(error).__name__}: {text} (line {raised.lineno} of {raised.filename}{log_file})"
 
 
 def _multirun(overrides: list[str], console: Console) -> int:
     """Hydra's multirun: every combination of the swept values runs in its own folder; one that fails stops no other."""
-    check_overrides(overrides)
+    overrides = with_home(overrides)
+    sweep_folder = _sweep_folder(compose_sweep(overrides)[0])
     finished: list[Path] = []
     failed: list[str] = []
 
@@ -121,10 +132,23 @@ def _multirun(overrides: list[str], console: Console) -> int:
             console.print(f"failed: {error}", style="red", markup=False)
 
     before = sys.argv
-    sys.argv = ["bgs-bench run", "--multirun", *overrides, *_QUIET_HYDRA]
+    quoted = str(sweep_folder).replace("'", "\\'")
+    sys.argv = ["bgs-bench run", "--multirun", *overrides, *_QUIET_HYDRA, f"hydra.sweep.dir='{quoted}'"]
     try:
         hydra.main(config_path=str(config_folder().resolve()), config_name="config", version_base="1.3")(job)()
     finally:
         sys.argv = before
     print_table([collect_row(path) for path in finished], console)
     return 1 if failed else 0
+
+
+def _sweep_folder(first: RunConfig) -> Path:
+    """Where the run folders of a sweep and Hydra's multirun.yaml go; made here, where the error is one line."""
+    folder = Path(first.values["output"] or "results/runs")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BenchError(
+            f"Can't make the folder {folder}: {error.strerror}. Give output= a place that you may write to."
+        ) from error
+    return folder

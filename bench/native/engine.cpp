@@ -47,7 +47,8 @@ void Workspace::forward(const float* planes, size_t stride, int count, const Vie
     tiles_x_ = (view.width + TILE_W - 1) / TILE_W, tiles_y_ = (view.height + TILE_H - 1) / TILE_H;
     const int chunks = (count + CHUNK - 1) / CHUNK;
     const KernelTable& k = kernels();
-    const ProjectArgs project{planes, stride, count, view, projected_.reserve(static_cast<size_t>(count)), chunk_counts_.reserve(static_cast<size_t>(chunks) + 1)};
+    const ProjectArgs project{planes, stride, count, view, records_.reserve(static_cast<size_t>(count)), place_.reserve(static_cast<size_t>(count)),
+                              chunk_counts_.reserve(static_cast<size_t>(chunks) + 1), first_slot_.reserve(static_cast<size_t>(chunks) + 1)};
     pool().run(chunks, [&](int chunk) { k.project(project, chunk); });
     sort_by_depth(chunks);
     bin();
@@ -55,32 +56,35 @@ void Workspace::forward(const float* planes, size_t stride, int count, const Vie
     pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_forward(raster, tile); });
 }
 
-// Stable radix sort of the visible Gaussians by depth; equal depths keep the order of their ids.
+// Stable radix sort of the visible Gaussians by depth; equal depths keep the order of the map.
 void Workspace::sort_by_depth(int chunks) {
     constexpr int BITS = 11, RADIX = 1 << BITS;
     int* starts = chunk_counts_.data();
+    uint32_t* slots = first_slot_.data();
     int total = 0;
+    uint32_t all_slots = 0;
     for (int c = 0; c < chunks; ++c) {
         const int n = starts[c];
-        starts[c] = total;
-        total += n;
+        const uint32_t s = slots[c];
+        starts[c] = total, slots[c] = all_slots;
+        total += n, all_slots += s;
     }
     starts[chunks] = total;
-    visible_ = total;
+    visible_ = total, slots_used_ = all_slots;
     const size_t n = static_cast<size_t>(total);
     uint32_t *keys = keys_.reserve(n), *keys_other = keys_other_.reserve(n), *order = order_.reserve(n), *order_other = order_other_.reserve(n);
+    pool().run(chunks, [&](int c) {
+        const Record* from = records_.data() + static_cast<size_t>(c) * CHUNK;
+        for (int j = 0, at = starts[c]; at < starts[c + 1]; ++j, ++at) {
+            std::memcpy(&keys[at], &from[j].depth, sizeof(uint32_t));  // the bits of a positive float sort like the float
+            order[at] = static_cast<uint32_t>(c * CHUNK + j);
+        }
+    });
     std::vector<std::array<uint32_t, RADIX>> histograms(3);
     for (auto& h : histograms) h.fill(0);
-    size_t at = 0;
-    for (int c = 0; c < chunks; ++c) {
-        const Record* from = projected_.data() + static_cast<size_t>(c) * CHUNK;
-        for (int j = 0; j < starts[c + 1] - starts[c]; ++j, ++at) {
-            uint32_t key;  // the bits of a positive float sort like the float
-            std::memcpy(&key, &from[j].depth, sizeof key);
-            keys[at] = key;
-            order[at] = static_cast<uint32_t>(c * CHUNK + j);
-            ++histograms[0][key & (RADIX - 1)], ++histograms[1][(key >> BITS) & (RADIX - 1)], ++histograms[2][key >> (2 * BITS)];
-        }
+    for (size_t j = 0; j < n; ++j) {
+        const uint32_t key = keys[j];
+        ++histograms[0][key & (RADIX - 1)], ++histograms[1][(key >> BITS) & (RADIX - 1)], ++histograms[2][key >> (2 * BITS)];
     }
     for (int pass = 0; pass < 3; ++pass) {
         auto& h = histograms[static_cast<size_t>(pass)];
@@ -97,19 +101,7 @@ void Workspace::sort_by_depth(int chunks) {
         }
         std::swap(keys, keys_other), std::swap(order, order_other);
     }
-    Record* records = records_.reserve(n);
-    int32_t* rank = rank_.reserve(static_cast<size_t>(count_));
-    std::fill(rank, rank + count_, -1);
-    const Record* projected = projected_.data();
-    const int tasks = (total + CHUNK - 1) / CHUNK;
-    pool().run(tasks, [&](int task) {
-        const size_t end = std::min(n, static_cast<size_t>(task + 1) * CHUNK);
-        for (size_t j = static_cast<size_t>(task) * CHUNK; j < end; ++j) {
-            if (j + 16 < end) __builtin_prefetch(&projected[order[j + 16]]);
-            records[j] = projected[order[j]];
-            rank[records[j].id] = static_cast<int32_t>(j);
-        }
-    });
+    by_depth_ = order;
 }
 
 // Counting sort of (Gaussian, tile) pairs into tiles; within a tile the nearest come first.
@@ -117,17 +109,24 @@ void Workspace::bin() {
     const int tiles = tiles_x_ * tiles_y_, parts = pool().threads();
     uint32_t* counts = bin_counts_.reserve(static_cast<size_t>(tiles) * parts);
     uint32_t* start = tile_start_.reserve(static_cast<size_t>(tiles) + 1);
-    Record* records = records_.data();
-    const auto part_begin = [&](int part) { return static_cast<int>(static_cast<int64_t>(visible_) * part / parts); };
-    const auto each_tile = [&](const Record& r, auto&& visit) {
-        const int tx1 = (r.x1 - 1) / TILE_W, ty1 = (r.y1 - 1) / TILE_H;
-        for (int ty = r.y0 / TILE_H; ty <= ty1; ++ty)
-            for (int tx = r.x0 / TILE_W; tx <= tx1; ++tx) visit(ty * tiles_x_ + tx);
+    const Record* records = records_.data();
+    const uint32_t* by_depth = by_depth_;
+    // Each part takes a stretch of the depth order; its tiles are visited nearest first.
+    const auto each_pair = [&](int part, auto&& visit) {
+        const int begin = static_cast<int>(static_cast<int64_t>(visible_) * part / parts);
+        const int end = static_cast<int>(static_cast<int64_t>(visible_) * (part + 1) / parts);
+        for (int j = begin; j < end; ++j) {
+            if (j + 16 < end) __builtin_prefetch(&records[by_depth[j + 16]].x0);
+            const Record& r = records[by_depth[j]];
+            const int tx1 = (r.x1 - 1) / TILE_W, ty1 = (r.y1 - 1) / TILE_H;
+            for (int ty = r.y0 / TILE_H; ty <= ty1; ++ty)
+                for (int tx = r.x0 / TILE_W; tx <= tx1; ++tx) visit(ty * tiles_x_ + tx, by_depth[j]);
+        }
     };
     pool().run(parts, [&](int part) {
         uint32_t* mine = counts + static_cast<size_t>(part) * tiles;
         std::fill(mine, mine + tiles, 0u);
-        for (int j = part_begin(part); j < part_begin(part + 1); ++j) each_tile(records[j], [&](int tile) { ++mine[tile]; });
+        each_pair(part, [&](int tile, uint32_t) { ++mine[tile]; });
     });
     uint32_t sum = 0;
     for (int tile = 0; tile < tiles; ++tile) {
@@ -140,18 +139,10 @@ void Workspace::bin() {
         }
     }
     start[tiles] = sum;
-    slots_used_ = sum;
     uint32_t* list = tile_list_.reserve(sum);
-    uint32_t slot = 0;
-    for (int j = 0; j < visible_; ++j) {
-        Record& r = records[j];
-        r.slot = slot;
-        slot += static_cast<uint32_t>(((r.x1 - 1) / TILE_W - r.x0 / TILE_W + 1) * ((r.y1 - 1) / TILE_H - r.y0 / TILE_H + 1));
-    }
     pool().run(parts, [&](int part) {
         uint32_t* mine = counts + static_cast<size_t>(part) * tiles;
-        for (int j = part_begin(part); j < part_begin(part + 1); ++j)
-            each_tile(records[j], [&](int tile) { list[mine[tile]++] = static_cast<uint32_t>(j); });
+        each_pair(part, [&](int tile, uint32_t place) { list[mine[tile]++] = place; });
     });
 }
 
@@ -160,11 +151,11 @@ void Workspace::backward(const float* planes, size_t stride, const float* grad_c
     const KernelTable& k = kernels();
     float* slots = slots_.reserve(slots_used_ * SLOT);
     const RasterArgs forward{records_.data(), tile_start_.data(), tile_list_.data(), view_.width, view_.height, tiles_x_, tiles_y_, color_, depth_, alpha_};
-    const RasterBackwardArgs raster{forward, grad_color, grad_depth, grad_alpha, slots};
+    const RasterBackwardArgs raster{forward, grad_color, grad_depth, grad_alpha, slots, first_slot_.data()};
     pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_backward(raster, tile); });
     const int chunks = (count_ + CHUNK - 1) / CHUNK;
     double* sums = pose == nullptr ? nullptr : pose_.reserve(static_cast<size_t>(chunks) * 6);
-    const ProjectBackwardArgs project{planes, stride, count_, view_, records_.data(), rank_.data(), slots, grads, grads_stride, touched, sums};
+    const ProjectBackwardArgs project{planes, stride, count_, view_, records_.data(), place_.data(), slots, first_slot_.data(), grads, grads_stride, touched, sums};
     pool().run(chunks, [&](int chunk) { k.project_backward(project, chunk); });
     if (pose == nullptr) return;
     std::fill(pose, pose + 6, 0.0);
@@ -173,8 +164,8 @@ void Workspace::backward(const float* planes, size_t stride, const float* grad_c
 }
 
 size_t Workspace::bytes() const {
-    return projected_.bytes() + records_.bytes() + chunk_counts_.bytes() + keys_.bytes() + keys_other_.bytes() + order_.bytes() +
-           order_other_.bytes() + tile_start_.bytes() + tile_list_.bytes() + bin_counts_.bytes() + rank_.bytes() + slots_.bytes() + pose_.bytes();
+    return records_.bytes() + first_slot_.bytes() + chunk_counts_.bytes() + keys_.bytes() + keys_other_.bytes() + order_.bytes() +
+           order_other_.bytes() + tile_start_.bytes() + tile_list_.bytes() + bin_counts_.bytes() + place_.bytes() + slots_.bytes() + pose_.bytes();
 }
 
 PhotometricResult photometric(PhotometricArgs args) {

@@ -16,7 +16,7 @@ class Buffer {
 public:
     T* reserve(size_t count) {
         if (count > capacity_) {
-            capacity_ = count + count / 4;
+            capacity_ = count + count / 8;
             data_.reset(static_cast<T*>(::operator new[](capacity_ * sizeof(T), std::align_val_t(64))));
         }
         return data_.get();
@@ -57,10 +57,11 @@ private:
     int count_ = 0, visible_ = 0, tiles_x_ = 0, tiles_y_ = 0;
     size_t slots_used_ = 0;
     float *color_ = nullptr, *depth_ = nullptr, *alpha_ = nullptr;  // the caller keeps them alive until backward
-    Buffer<Record> projected_, records_;
+    Buffer<Record> records_;
     Buffer<int> chunk_counts_;
-    Buffer<uint32_t> keys_, keys_other_, order_, order_other_, tile_start_, tile_list_, bin_counts_;
-    Buffer<int32_t> rank_;
+    Buffer<uint32_t> first_slot_, keys_, keys_other_, order_, order_other_, tile_start_, tile_list_, bin_counts_;
+    const uint32_t* by_depth_ = nullptr;  // places of records, nearest first: one of the two order buffers
+    Buffer<int32_t> place_;
     Buffer<float> slots_;
     Buffer<double> pose_;
 };

@@ -37,8 +37,8 @@ struct alignas(64) Record {
     float color[3];
     float depth;
     int16_t x0, x1, y0, y1;  // half-open bounding box of alpha >= 1/255, clipped to the image
-    uint32_t slot;           // first of its private gradient slots, one a tile of the bounding box
-    uint32_t id;             // which Gaussian
+    uint32_t slot;           // first of its private gradient slots in its chunk's, one a tile of the bounding box
+    uint32_t chunk;          // which chunk of Gaussians it is of
 };
 static_assert(sizeof(Record) == 64, "a record is one cache line");
 
@@ -47,14 +47,16 @@ struct ProjectArgs {
     size_t stride;
     int count;
     View view;
-    Record* records;    // chunk k writes from k * CHUNK on
-    int* chunk_counts;  // how many records chunk k wrote
+    Record* records;         // chunk k writes from k * CHUNK on; a record's place never changes
+    int32_t* place;          // of each Gaussian's record, -1 if it is not visible
+    int* chunk_counts;       // how many records chunk k wrote
+    uint32_t* chunk_slots;   // how many (Gaussian, tile) pairs they have; record.slot counts from the chunk's first
 };
 
 struct RasterArgs {
     const Record* records;
     const uint32_t* tile_start;  // tiles + 1
-    const uint32_t* tile_list;   // ranks into records, nearest first within a tile
+    const uint32_t* tile_list;   // places of records, nearest first within a tile
     int width, height, tiles_x, tiles_y;
     float *color, *depth, *alpha;  // planar (3, H, W), (H, W), (H, W)
 };
@@ -63,6 +65,7 @@ struct RasterBackwardArgs {
     RasterArgs forward;                              // its outputs are read
     const float *grad_color, *grad_depth, *grad_alpha;  // null = zero
     float* slots;
+    const uint32_t* first_slot;  // of each chunk
 };
 
 struct ProjectBackwardArgs {
@@ -71,8 +74,9 @@ struct ProjectBackwardArgs {
     int count;
     View view;
     const Record* records;
-    const int32_t* rank;   // of each Gaussian, -1 if not visible
+    const int32_t* place;  // of each Gaussian's record, -1 if not visible
     const float* slots;
+    const uint32_t* first_slot;  // of each chunk
     float* grads;          // planes like the parameters
     size_t grads_stride;
     bool* touched;         // per Gaussian: whether it was visible

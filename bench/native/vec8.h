@@ -97,7 +97,6 @@ typedef int32_t i8 __attribute__((vector_size(32)));
 // 2^x, relative error below 2e-7 in float32; x is clamped to the range of normal numbers.
 [[maybe_unused]] inline f8 exp2_8(f8 x) {
     x = max8(x, splat(-126.0f));
-    x = min8(x, splat(126.0f));
     const f8 magic = splat(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest integer
     const f8 shifted = x + magic;
     const f8 f = x - (shifted - magic);

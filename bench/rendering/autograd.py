@@ -13,15 +13,15 @@ from bench.contracts.rasterizer import Gradients, PinholeView, Rasterizer, Rende
 class AutogradRasterizer(Rasterizer):
     """An author writes ``splat``, differentiable by the planes and by the twist; the rest follows.
 
-    ``dtype`` is what ``splat`` computes in; images and gradients come back in the dtype of the planes that were given, so
-    an oracle in float64 serves mapping (float32) too.
+    ``dtype`` is what ``splat`` computes in; images and gradients come back in the dtype of the planes that were
+    given, so an oracle in float64 serves mapping (float32) too.
     """
 
     dtype = torch.float32
 
     @abstractmethod
     def splat(self, planes: Tensor, view: PinholeView, twist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Colour (3, H, W), depth (H, W), alpha (H, W), visible (N,) bool; ``twist`` (6,) perturbs the view from the left."""
+        """Colour (3, H, W), depth (H, W), alpha (H, W), visible (N,) bool; ``twist`` (6,) perturbs the view (left)."""
 
     def render(self, planes: Tensor, view: PinholeView, differentiable: bool = True) -> Rendered:
         leaf = planes.detach().to(self.device, self.dtype).requires_grad_(differentiable)

@@ -37,15 +37,15 @@ class GaussianMapperConfig(PluginConfig):
     keyframes keep their derived images in memory.
     """
 
-    iterations: int = 40
-    final_iterations: int = 15
-    coarse_share: float = 0.4
-    newest_share: float = 0.4
-    window_share: float = 0.45
-    position_rate: float = 1e-4
+    iterations: int = 24
+    final_iterations: int = 12
+    coarse_share: float = 0.6
+    newest_share: float = 0.3
+    window_share: float = 0.5
+    position_rate: float = 2e-4
     color_rate: float = 1e-2
     opacity_rate: float = 5e-2
-    scale_rate: float = 5e-3
+    scale_rate: float = 1e-2
     rotation_rate: float = 1e-3
     prune_opacity: float = 5e-3
     depth_range_m: tuple[float, float] = (0.5, 80.0)

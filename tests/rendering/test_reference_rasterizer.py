@@ -53,7 +53,7 @@ def test_one_round_gaussian_worked_by_hand(rasterizer: Rasterizer) -> None:
 
 
 def test_off_axis_gaussian_is_stretched_along_x(rasterizer: Rasterizer) -> None:
-    """Off the axis by x = 0.8 at z = 4, a ball's variance grows by 1 + (x / z)^2 = 1.04 along x only (J = f/z [1, 0, -x/z])."""
+    """At x = 0.8, z = 4 a ball's variance grows by 1 + (x / z)^2 = 1.04 along x only, for J = f/z [1, 0, -x/z]."""
     image = rasterizer.render(gaussian((0.8, 0, 4), (0.2, 0.2, 0.2), 0.7, (1, 1, 1)), VIEW)
     y, x = np.mgrid[:H, :W]
     alpha = 0.7 * np.exp(-0.5 * ((x - 18.0) ** 2 / (4 * 1.04 + 0.3) + (y - 8.0) ** 2 / 4.3))
@@ -77,7 +77,7 @@ def test_quaternion_turns_the_long_axis(rasterizer: Rasterizer) -> None:
 
 
 def test_two_layers_blend_front_to_back(rasterizer: Rasterizer) -> None:
-    """a1 = 0.6 in front of a2 = 0.5: colour c1 0.6 + c2 0.5 * 0.4, depth 3 * 0.6 + 6 * 0.2, alpha 0.8; order in memory is no order."""
+    """0.6 in front of 0.5: colour c1 0.6 + c2 0.2, depth 3 * 0.6 + 6 * 0.2, alpha 0.8, whatever the memory's order."""
     far = gaussian((0, 0, 6), (0.3, 0.3, 0.3), 0.5, (0.0, 1.0, 0.0))
     near = gaussian((0, 0, 3), (0.3, 0.3, 0.3), 0.6, (1.0, 0.0, 0.0))
     image = rasterizer.render(torch.cat([far, near], 1), VIEW)
@@ -88,12 +88,15 @@ def test_two_layers_blend_front_to_back(rasterizer: Rasterizer) -> None:
 
 
 def test_thresholds(rasterizer: Rasterizer) -> None:
-    """Alpha is at most 0.999; what would leave less than 1e-4 of the light ends the pixel unblended; nearer than 0.2 m is skipped."""
+    """Alpha is at most 0.999; what leaves less than 1e-4 of the light is not blended; nearer than 0.2 m is skipped."""
     wall = [gaussian((0, 0, z), (3, 3, 3), 1 - 1e-7, (1, 0, 0)) for z in (2.0, 3.0)]
     image = rasterizer.render(torch.cat(wall, 1), VIEW)
     assert float(image.alpha[8, 10]) == pytest.approx(0.999, abs=1e-6)
     assert float(image.depth[8, 10]) == pytest.approx(2 * 0.999, abs=1e-5)
-    for hidden in (gaussian((0, 0, 0.19), (1, 1, 1), 0.9, (1, 1, 1)), gaussian((0, 0, 4), (1, 1, 1), 0.0039, (1, 1, 1))):
+    for hidden in (
+        gaussian((0, 0, 0.19), (1, 1, 1), 0.9, (1, 1, 1)),
+        gaussian((0, 0, 4), (1, 1, 1), 0.0039, (1, 1, 1)),
+    ):
         assert float(rasterizer.render(hidden, VIEW).alpha.max()) == 0.0
     assert float(rasterizer.render(gaussian((0, 0, 4), (1, 1, 1), 0.00395, (1, 1, 1)), VIEW).alpha[8, 10]) > 0.0
 
@@ -135,7 +138,7 @@ def test_gradients_against_numerical_differentiation(small_scene: tuple[Tensor, 
 
 
 def test_twist_against_numerical_differentiation(small_scene: tuple[Tensor, PinholeView]) -> None:
-    """The twist is (translation, rotation) of p_cam -> exp(twist) p_cam, with torch's matrix exponential as the truth."""
+    """The twist is (translation, rotation) of p_cam -> exp(twist) p_cam; torch's matrix exponential is the truth."""
     planes, view = small_scene
     reference = ReferenceRasterizer(PluginConfig("reference"))
     grads = tuple(g.double() for g in image_gradients(view, 2))

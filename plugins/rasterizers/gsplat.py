@@ -1,0 +1,71 @@
+"""The fast rasterizer on a GPU: gsplat (Apache-2.0), with the names, pixel centres and thresholds of the others."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import torch
+from torch import Tensor
+
+from bench.contracts.rasterizer import PinholeView
+from bench.mapping.gaussians import NamedParameters
+from bench.registry import PluginConfig, register
+from bench.rendering.autograd import AutogradRasterizer, perturbed
+
+# gsplat's own alpha limits (1/255 and 0.999) and its end of a pixel (transmittance 1e-4) are constants of its kernels.
+NEAR_M = 0.2
+LOW_PASS_PX2 = 0.3
+
+
+@register("rasterizer", "gsplat")
+class GsplatRasterizer(AutogradRasterizer):
+    """gsplat 1.5.3 on CUDA, for large maps on a GPU.
+
+    Written from gsplat's documented interface; it has not been run yet, because no GPU was at hand. The test
+    ``tests/rendering/test_gsplat_rasterizer.py`` compares it with ``cpu`` and ``reference`` where there is one.
+    """
+
+    def __init__(self, config: PluginConfig) -> None:
+        self.device = torch.device("cuda")
+
+    @classmethod
+    def unavailable_reason(cls) -> str | None:
+        """None, or what is missing: a CUDA device, or the package."""
+        if not torch.cuda.is_available():
+            return "torch sees no CUDA device. Use rasterizer=cpu, or a machine with a GPU and a CUDA build of torch"
+        if importlib.util.find_spec("gsplat") is None:
+            return "gsplat is not installed. Run: pip install 'bgs-slam-bench[cuda]'"
+        return None
+
+    def splat(self, planes: Tensor, view: PinholeView, twist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        from gsplat import rasterization
+
+        count = planes.shape[1]
+        if count == 0:
+            black = (planes.sum() + twist.sum()) * planes.new_zeros(5, view.height, view.width)
+            return black[:3], black[3], black[4], torch.zeros(0, dtype=torch.bool, device=planes.device)
+        R, t = perturbed(torch.as_tensor(view.T_cam_world, dtype=planes.dtype, device=planes.device), twist)
+        last_row = planes.new_tensor([[0.0, 0.0, 0.0, 1.0]])
+        T_cam_world = torch.cat([torch.cat([R, t[:, None]], 1), last_row])
+        # gsplat has the centre of the first pixel at 0.5, we at 0.
+        K = planes.new_tensor([[view.fx, 0.0, view.cx + 0.5], [0.0, view.fy, view.cy + 0.5], [0.0, 0.0, 1.0]])
+        gaussians = NamedParameters(planes)
+        images, alpha, meta = rasterization(
+            means=gaussians.means,
+            quats=gaussians.quaternions,
+            scales=gaussians.scales,
+            opacities=gaussians.opacities,
+            colors=gaussians.colors,
+            viewmats=T_cam_world[None],
+            Ks=K[None],
+            width=view.width,
+            height=view.height,
+            near_plane=NEAR_M,
+            eps2d=LOW_PASS_PX2,
+            sh_degree=None,
+            packed=False,
+            render_mode="RGB+D",
+            rasterize_mode="classic",
+        )
+        visible = (meta["radii"].reshape(count, -1) > 0).all(1)
+        return images[0, ..., :3].permute(2, 0, 1).contiguous(), images[0, ..., 3], alpha[0, ..., 0], visible

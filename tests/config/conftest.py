@@ -1,0 +1,25 @@
+"""Registries as they were before, after tests that load plugins of their own."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+
+import pytest
+from hydra.core.config_store import ConfigStore
+
+from bench import registry
+
+
+@pytest.fixture
+def clean_registry() -> Iterator[None]:
+    """Forget, afterwards, every plugin and broken file that the test brought."""
+    plugins, broken = dict(registry._plugins), dict(registry.broken_files)
+    store = ConfigStore.instance()
+    repo = copy.deepcopy(store.repo)
+    yield
+    registry._plugins.clear()
+    registry._plugins.update(plugins)
+    registry.broken_files.clear()
+    registry.broken_files.update(broken)
+    store.repo = repo

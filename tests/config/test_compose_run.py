@@ -1,0 +1,161 @@
+"""A run's configuration from the command line: what is refused, in which words, and what the hash depends on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from bench import registry
+from bench.config import compose_run, compose_sweep, plugin_config_from, register_schema
+from bench.errors import BenchError
+from bench.registry import PluginConfig, register
+from plugins.stereo.sgbm import SgbmConfig
+
+REFUSED = {
+    "stereo=sgbn": r"Unknown stereo 'sgbn'\. Known: .*sgbm.*\. Did you mean 'sgbm'\?",
+    "dataset=kiti": r"Unknown dataset 'kiti'\..*Did you mean 'kitti'\?",
+    "sky=horizn": r"Unknown sky 'horizn'\..*Did you mean 'horizon'\?",
+    "tracker=ground_truth": r"Unknown tracker 'ground_truth'\..*Did you mean 'groundtruth'\?",
+    "keyframer=covisible": r"Unknown keyframer 'covisible'\..*Did you mean 'covisibility'\?",
+    "mapper=gausian": r"Unknown mapper 'gausian'\..*Did you mean 'gaussian'\?",
+    "loss=[rgb,smoth]": r"Unknown loss 'smoth'\..*Did you mean 'smooth'\?",
+    "rasterizer=cpuu": r"Unknown rasterizer 'cpuu'\..*Did you mean 'cpu'\?",
+    "evaluator=[atee]": r"Unknown evaluator 'atee'\..*Did you mean 'ate'\?",
+    "system=bgs_slan": r"system='bgs_slan' is not one of bgs_slam, .*Did you mean 'bgs_slam'\?",
+    "protocol=papr": r"protocol='papr' is not one of ",
+    "stereo.num_disparites=96": r"stereo has no setting 'num_disparites'; there are .*Did you mean 'num_disparities'\?",
+    "mapper.seed.strid=3": r"mapper\.seed has no setting 'strid'; there are .*Did you mean 'stride'\?",
+    "loss.geo.weigth=2": r"loss\.geo has no setting 'weigth'; there are .*Did you mean 'weight'\?",
+    "sed=3": r"There is no setting 'sed'; there are .*Did you mean 'seed'\?",
+    "+sed=3": r"There is no setting 'sed'; there are .*Did you mean 'seed'\?",
+    "+stereo.num=3": r"stereo=sgbm has no setting 'num'; it has ",
+    "+mapper.seed.num=3": r"mapper.*num",
+    "stereo.num_disparities=many": r"stereo\.num_disparities=many: .*'many'.* Integer",
+    "mapper.depth_range_m=[1]": r"mapper\.depth_range_m=\[1\.0\] has 1 values; give 2",
+    "seed=abc": r"seed=abc: .*'abc'.* Integer",
+    "seed=-1": r"seed=-1 is negative; choose 0 or more",
+    "seed=???": r"seed has no value \(\?\?\?\)\. Give seed=VALUE",
+    "seed=${nowhere}": r"The config can't be resolved: .*nowhere",
+    "rerun=perhaps": r"rerun=perhaps: .*'perhaps'.*bool",
+    "protocol.alignment=sim3": r"protocol\.alignment='sim3' is not one of se3, none",
+    "stereo=[sgbm": r"Can't read the override 'stereo=\[sgbm'.*Write key=value",
+    "stereo": r"Can't read the override 'stereo'.*Write key=value",
+    "seed=0,1": r"seed=0,1 names several values; add -m",
+    "stereo=sgbm,lidar": r"stereo=sgbm,lidar names several values; add -m",
+    "mapper=null": r"Unknown mapper 'None'\. Known: ",
+    "~mapper": r"No mapper is chosen; there are .*gaussian",
+    "plugins=[/not/there]": r"plugins: the folder /not/there does not exist\. Create it, or remove it",
+    "plugins=a,b": r"plugins=a,b can't be swept; several folders are written plugins=\[ONE,OTHER\]",
+}
+
+
+def compose_and_type(override: str) -> None:
+    """What a run does with its config before anything is built."""
+    config = compose_run([override])
+    for kind in registry.KINDS:
+        if kind in registry.SEVERAL_AT_ONCE:
+            config.several(kind)
+        else:
+            config.plugin(kind)
+
+
+@pytest.mark.parametrize("override", REFUSED)
+def test_refused_with_one_readable_line(override: str) -> None:
+    with pytest.raises(BenchError, match=REFUSED[override]) as caught:
+        compose_and_type(override)
+    assert "\n" not in str(caught.value)
+
+
+def test_values_arrive_typed() -> None:
+    config = compose_run(["stereo.num_disparities=96", "mapper.seed.stride=3", "mapper.depth_range_m=[1,50]", "seed=4"])
+    stereo = config.plugin("stereo")
+    assert isinstance(stereo, SgbmConfig)
+    assert stereo.num_disparities == 96
+    mapper = config.plugin("mapper")
+    assert mapper.seed.stride == 3  # type: ignore[attr-defined]
+    assert list(mapper.depth_range_m) == [1.0, 50.0]  # type: ignore[attr-defined]
+    assert config.values["seed"] == 4
+
+
+def test_the_paper_preset_has_the_papers_numbers() -> None:
+    """Colour 2.5e-3, rotation 1e-3, scale 1e-3, opacity 5e-2, removal 5e-3; weights .8 .2 .1 .1 .5."""
+    config = compose_run(["system=bgs_slam_paper"])
+    mapper = config.values["mapper"]
+    rates = [mapper[f"{what}_rate"] for what in ("color", "rotation", "scale", "opacity")]
+    assert rates == [2.5e-3, 1e-3, 1e-3, 5e-2]
+    assert mapper["prune_opacity"] == 5e-3
+    weights = {name: term["weight"] for name, term in config.values["loss"].items()}
+    assert weights == {"rgb": 0.8, "ssim": 0.2, "geo": 0.1, "normal": 0.1, "smooth": 0.5}
+
+
+def test_hash_does_not_depend_on_order_place_or_rerun(tmp_path: Path) -> None:
+    base = compose_run(["seed=1", "stereo.num_disparities=96"]).hash
+    same = [
+        ["stereo.num_disparities=96", "seed=1"],
+        ["seed=1", "stereo=sgbm", "stereo.num_disparities=96"],
+        ["seed=1", "stereo.num_disparities=96", f"output={tmp_path}"],
+        ["seed=1", "stereo.num_disparities=96", "rerun=true"],
+        ["seed=1", "stereo.num_disparities=96", f"plugins=[{tmp_path}]"],
+        ["seed=1", "stereo.num_disparities=96", "loss.rgb.weight=0.8"],  # the default, said aloud
+    ]
+    assert {compose_run(overrides).hash for overrides in same} == {base}
+
+
+@pytest.mark.parametrize(
+    "change", ["seed=2", "stereo.num_disparities=128", "mapper.seed.stride=5", "loss.rgb.weight=0.7", "loss=[rgb,geo]"]
+)
+def test_hash_changes_with_a_value(change: str) -> None:
+    assert compose_run([change]).hash != compose_run([]).hash
+
+
+@dataclass(frozen=True)
+class PathConfig(PluginConfig):
+    """Like that of a data set on disk."""
+
+    root: str = field(default="", metadata={"path": True})
+    label: str = ""
+
+
+def test_paths_are_absolute_and_home_is_known(
+    clean_registry: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A relative root means the same run as the absolute one; so does ~, which shells leave and Hydra refuses."""
+    register("dataset", "on_disk_for_tests", config=PathConfig)(type("OnDisk", (), {"__module__": __name__}))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    relative, absolute, home = (
+        compose_run(["dataset=on_disk_for_tests", f"dataset.root={root}", "dataset.label=a/b"])
+        for root in ("data", tmp_path / "data", "~/data")
+    )
+    assert relative.values["dataset"] == {
+        "name": "on_disk_for_tests",
+        "root": str(tmp_path / "data"),
+        "label": "a/b",
+    }
+    assert relative.hash == absolute.hash == home.hash
+    (tmp_path / "mine").mkdir()
+    assert compose_run(["plugins=[~/mine]"]).values["plugins"] == [str(tmp_path / "mine")]
+
+
+def test_a_sweep_is_composed_before_it_starts() -> None:
+    cells = compose_sweep(["seed=0,1", "stereo=sgbm,lidar", "mapper.iterations=range(3,5)"])
+    assert len(cells) == 8
+    assert len({cell.hash for cell in cells}) == 8
+    assert {(c.values["seed"], c.values["stereo"]["name"], c.values["mapper"]["iterations"]) for c in cells} == {
+        (seed, stereo, iterations) for seed in (0, 1) for stereo in ("sgbm", "lidar") for iterations in (3, 4)
+    }
+    with pytest.raises(BenchError, match=r"Unknown stereo 'sgbn'"):
+        compose_sweep(["stereo=sgbm,sgbn"])
+
+
+def test_a_saved_plugin_config_is_checked_too() -> None:
+    register_schema()
+    assert plugin_config_from("stereo", {"name": "sgbm"}) == SgbmConfig("sgbm")
+    with pytest.raises(BenchError, match=r"stereo=sgbm has no setting 'blok_size'; .*Did you mean 'block_size'"):
+        plugin_config_from("stereo", {"name": "sgbm", "blok_size": 5})
+    with pytest.raises(BenchError, match=r"stereo=sgbm: .*'x'.*Integer"):
+        plugin_config_from("stereo", {"name": "sgbm", "block_size": "x"})
+    with pytest.raises(BenchError, match=r"Unknown stereo ''"):
+        plugin_config_from("stereo", {})
