@@ -27,9 +27,7 @@ from bench.discovery import load_plugins
 from bench.errors import BenchError, did_you_mean, require_choice
 from bench.evaluation.protocol import Protocol
 from bench.registry import KINDS, SEVERAL_AT_ONCE, PluginConfig
-
-# What does not change a result, and so does not change the name of the run folder.
-_NOT_HASHED = ("output", "rerun", "plugins")
+from bench.runs.config_file import NO_PART_OF_THE_RUN
 
 
 @dataclass
@@ -37,7 +35,8 @@ class RootConfig:
     """The keys of a run; each kind of plugin has its own group beside them.
 
     ``output``: the run folder; None = ``results/runs/<hash of the config>``. ``rerun``: run again although the folder
-    holds this run, finished. ``plugins``: folders with plugins of your own.
+    holds this run, finished. ``plugins``: folders with plugins of your own. ``pipeline``: "parallel" lets tracking
+    and stereo run ahead of mapping, "sequential" does not; the result is the same.
     """
 
     system: str = ""
@@ -45,6 +44,7 @@ class RootConfig:
     output: str | None = None
     rerun: bool = False
     plugins: list[str] = field(default_factory=list)
+    pipeline: str = "parallel"
     protocol: Any = None
     dataset: Any = None
     stereo: Any = None
@@ -147,7 +147,8 @@ def resolved(composed: DictConfig) -> RunConfig:
         for mapping in (plain[kind] or {}).values() if kind in SEVERAL_AT_ONCE else [plain[kind]]:
             _make_paths_absolute(kind, mapping)
     Protocol.from_mapping(plain["protocol"])
-    hashed = {key: value for key, value in plain.items() if key not in _NOT_HASHED}
+    require_choice("pipeline", plain["pipeline"], ["parallel", "sequential"])
+    hashed = {key: value for key, value in plain.items() if key not in NO_PART_OF_THE_RUN}
     text = json.dumps(hashed, sort_keys=True, default=str)
     return RunConfig(plain, hashlib.sha256(text.encode()).hexdigest()[:12])
 

@@ -1,55 +1,68 @@
-"""Decode frames ahead of their use, in one background thread."""
+"""Let a stage work ahead of the next one, in a background thread: decoding images, or the whole front end of the
+system."""
 
 from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
 
 from bench.contracts.dataset import Dataset
 from bench.types import StereoFrame
 
 # How often a blocked thread looks whether the consumer has gone, in seconds.
 _POLL_S = 0.1
+_END = object()
+
+T = TypeVar("T")
 
 
 def prefetch(dataset: Dataset, ahead: int = 2) -> Iterator[tuple[int, StereoFrame]]:
-    """Yield ``(position, frame)`` in order, with up to ``ahead`` frames decoded in a background thread.
+    """Yield ``(position, frame)`` in order, with up to ``ahead`` frames decoded in a background thread."""
+    return in_background(((i, dataset.frame(i)) for i in range(len(dataset))), ahead, "bgs-prefetch")
 
-    What ``dataset.frame`` raises is raised here, at the frame that failed. The thread ends when the consumer closes the
-    generator or lets go of it, at the latest after the frame that it is decoding.
+
+def in_background(items: Iterable[T], ahead: int, thread_name: str) -> Iterator[T]:
+    """Yield the items in order; up to ``ahead`` of them are made before they are asked for, in a thread of their own.
+
+    What making an item raises is raised here, in its place. The thread ends when the consumer closes this generator or
+    lets go of it, at the latest after the item that it is making.
     """
-    ready: queue.Queue[tuple[int, StereoFrame | BaseException]] = queue.Queue(maxsize=max(1, ahead))
+    ready: queue.Queue[object] = queue.Queue(maxsize=max(1, ahead))
     stop = threading.Event()
+    failure: list[BaseException] = []
 
-    def hand_over(position: int, item: StereoFrame | BaseException) -> bool:
+    def hand_over(item: object) -> bool:
         while not stop.is_set():
             try:
-                ready.put((position, item), timeout=_POLL_S)
+                ready.put(item, timeout=_POLL_S)
                 return True
             except queue.Full:
                 continue
         return False
 
-    def decode() -> None:
-        for position in range(len(dataset)):
-            try:
-                frame = dataset.frame(position)
-            except BaseException as error:
-                # Handed to the consumer, who raises it.
-                hand_over(position, error)
-                return
-            if not hand_over(position, frame):
-                return
+    def make() -> None:
+        iterator = iter(items)
+        try:
+            for item in iterator:
+                if not hand_over(item):
+                    break
+        except BaseException as error:
+            failure.append(error)  # handed to the consumer, who raises it
+        finally:
+            # A generator that runs a thread of its own ends it now, not when it happens to be collected.
+            if hasattr(iterator, "close"):
+                iterator.close()
+            hand_over(_END)
 
-    thread = threading.Thread(target=decode, name="bgs-prefetch", daemon=True)
+    thread = threading.Thread(target=make, name=thread_name, daemon=True)
     thread.start()
     try:
-        for _ in range(len(dataset)):
-            position, item = ready.get()
-            if isinstance(item, BaseException):
-                raise item
-            yield position, item
+        while (item := ready.get()) is not _END:
+            yield item  # type: ignore[misc]  # only T and _END are ever put
+        if failure:
+            raise failure[0]
     finally:
         stop.set()
         thread.join()

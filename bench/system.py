@@ -1,7 +1,8 @@
 """The SLAM loop: the one place where the stages meet.
 
 Data flows one way: data set -> tracker -> keyframer -> stereo -> sky -> mapper -> run folder. Scoring comes afterwards
-and reads the run folder only.
+and reads the run folder only. The part before the mapper (the front end) never looks at the map, so it may run ahead
+in a thread of its own (``pipeline=parallel``) without changing a single bit of the result.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from bench.contracts.stereo import DepthSource
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
 from bench.evaluation.protocol import Protocol
-from bench.prefetch import prefetch
+from bench.prefetch import in_background, prefetch
 from bench.runs.atomic import atomic_path
 from bench.runs.folder import MAP_FILE, PROVENANCE_FILE, RESOURCES_FILE, RunFolder
 from bench.runs.memory import PeakMemory
@@ -36,6 +37,9 @@ from bench.runs.provenance import collect_provenance
 from bench.types import Keyframe, RenderedView, StereoFrame, TrackingResult, Trajectory
 
 log = logging.getLogger(__name__)
+
+# How far the front end may be ahead of the mapper in pipeline=parallel.
+FRAMES_AHEAD = 3
 
 # Called as each frame is done: frames done, frames in all, PSNR of the newest keyframe in dB (NaN before the first).
 Progress = Callable[[int, int, float], None]
@@ -78,6 +82,8 @@ class _Progress:
     rows: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=lambda: {"tracking": 0.0, "stereo": 0.0, "mapping": 0.0})
     psnr_db: float = float("nan")
+    started: float = field(default_factory=time.perf_counter)
+    wall_s: float | None = None  # of the whole SLAM, before rendering for the evaluation
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -106,10 +112,11 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
         folder.set_status("running", frames_total=total)
         try:
             folder.write_json(PROVENANCE_FILE, collect_provenance(config.values, config.values["seed"], {}))
-            _run_frames(system, done, progress)
+            _run_frames(system, done, config.values["pipeline"] == "parallel", progress)
             with done.timed("mapping"):
                 system.mapper.update_poses(system.tracker.trajectory())
                 system.mapper.finish()
+            done.wall_s = time.perf_counter() - done.started
             _save_views(system, folder)
             _save(system, folder, done, memory)
             folder.set_status("done", frames_done=len(done.rows), frames_total=total)
@@ -127,12 +134,37 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
     return folder
 
 
-def _run_frames(system: System, done: _Progress, progress: Progress | None) -> None:
-    frames = prefetch(system.dataset)
-    for position, frame in frames:
-        seconds_before = dict(done.seconds)
-        with done.timed("tracking"):
-            tracking = _checked(system.tracker.track(frame), frame, system.tracker)
+@dataclass(frozen=True)
+class _FrontEnd:
+    """What the front end says about one frame; ``keyframe`` and the poses of that moment for a keyframe only."""
+
+    row: dict[str, Any]
+    keyframe: Keyframe | None = None
+    window: tuple[int, ...] = ()
+    trajectory: Trajectory | None = None
+
+
+def _run_frames(system: System, done: _Progress, parallel: bool, progress: Progress | None) -> None:
+    frames = _front_end(system)
+    for seen in in_background(frames, FRAMES_AHEAD, "bgs-front-end") if parallel else frames:
+        row = seen.row
+        done.seconds["tracking"] += row["tracking_s"]
+        done.seconds["stereo"] += row["stereo_s"]
+        mapping_before = done.seconds["mapping"]
+        if seen.keyframe is not None:
+            row |= _map_keyframe(system, done, seen)
+        row["mapping_s"] = done.seconds["mapping"] - mapping_before
+        done.rows.append(row)
+        if progress is not None:
+            progress(len(done.rows), len(system.dataset), done.psnr_db)
+
+
+def _front_end(system: System) -> Iterator[_FrontEnd]:
+    """Tracking, keyframing, stereo and sky of every frame, in order."""
+    camera = system.dataset.camera
+    for position, frame in prefetch(system.dataset):
+        start = time.perf_counter()
+        tracking = _checked(system.tracker.track(frame), frame, system.tracker)
         row: dict[str, Any] = {
             "number": frame.number,
             "timestamp": frame.timestamp,
@@ -142,15 +174,27 @@ def _run_frames(system: System, done: _Progress, progress: Progress | None) -> N
             "is_keyframe": False,
             "mapped": False,
             "heldout": system.protocol.is_held_out(frame.number),
+            "tracking_s": time.perf_counter() - start,
+            "stereo_s": 0.0,
         }
         if tracking.state == "lost":
             log.warning("frame %d: tracking is lost", frame.number)
-        elif not row["heldout"]:
-            row |= _map_frame(system, done, position, frame, tracking)
-        row |= {f"{stage}_s": done.seconds[stage] - seconds_before[stage] for stage in done.seconds}
-        done.rows.append(row)
-        if progress is not None:
-            progress(len(done.rows), len(system.dataset), done.psnr_db)
+        if tracking.state == "lost" or row["heldout"]:
+            yield _FrontEnd(row)
+            continue
+        decision = system.keyframer.update(frame, tracking)
+        row["keyframe_reason"] = decision.reason
+        if not decision.is_keyframe:
+            yield _FrontEnd(row)
+            continue
+        start = time.perf_counter()
+        depth = system.stereo.depth(frame, position, camera)
+        sky = system.sky.segment(frame.left, depth, camera)
+        row["stereo_s"] = time.perf_counter() - start
+        trajectory = system.tracker.trajectory()
+        pose = trajectory.pose_of(frame.number)
+        assert pose is not None
+        yield _FrontEnd(row, Keyframe(frame, depth, sky, pose), decision.window, trajectory)
 
 
 def _checked(tracking: TrackingResult, frame: StereoFrame, tracker: Tracker) -> TrackingResult:
@@ -166,30 +210,20 @@ def _checked(tracking: TrackingResult, frame: StereoFrame, tracker: Tracker) -> 
     return tracking
 
 
-def _map_frame(
-    system: System, done: _Progress, position: int, frame: StereoFrame, tracking: TrackingResult
-) -> dict[str, Any]:
-    """Ask the keyframer, and let the mapper learn from a keyframe; returns its cells of ``frames.csv``."""
-    decision = system.keyframer.update(frame, tracking)
-    if not decision.is_keyframe:
-        return {"keyframe_reason": decision.reason}
-    with done.timed("stereo"):
-        depth = system.stereo.depth(frame, position, system.dataset.camera)
-        sky = system.sky.segment(frame.left, depth, system.dataset.camera)
+def _map_keyframe(system: System, done: _Progress, seen: _FrontEnd) -> dict[str, Any]:
+    """Let the mapper learn from a keyframe; returns its cells of ``frames.csv``."""
+    assert seen.keyframe is not None
+    assert seen.trajectory is not None
     with done.timed("mapping"):
-        trajectory = system.tracker.trajectory()
-        system.mapper.update_poses(trajectory)
-        pose = trajectory.pose_of(frame.number)
-        assert pose is not None
-        report = system.mapper.add_keyframe(Keyframe(frame, depth, sky, pose), decision.window)
+        system.mapper.update_poses(seen.trajectory)
+        report = system.mapper.add_keyframe(seen.keyframe, seen.window)
     done.psnr_db = report.psnr_db
     log.info(
         "frame %d: keyframe (%s), %d Gaussians, %.2f dB, %s",
-        *(frame.number, decision.reason, report.gaussians, report.psnr_db),
+        *(seen.keyframe.frame.number, seen.row["keyframe_reason"], report.gaussians, report.psnr_db),
         ", ".join(f"{name} {value:.4f}" for name, value in report.losses.items()),
     )
     return {
-        "keyframe_reason": decision.reason,
         "is_keyframe": True,
         "mapped": True,
         "psnr_while_mapping": report.psnr_db,

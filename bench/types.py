@@ -128,7 +128,8 @@ class TrackingResult:
 
 @dataclass(frozen=True)
 class KeyframeDecision:
-    """Whether the frame is a keyframe and why; ``window`` holds the frame numbers of the active keyframes, oldest first."""
+    """Whether the frame is a keyframe and why; ``window`` holds the frame numbers of the active keyframes, oldest
+    first."""
 
     is_keyframe: bool
     reason: str
@@ -137,7 +138,8 @@ class KeyframeDecision:
 
 @dataclass(frozen=True)
 class Keyframe:
-    """What the mapper gets: a frame, its stereo depth, its sky mask (True = sky, None without a segmenter), its pose."""
+    """What the mapper gets: a frame, its stereo depth, its sky mask (True = sky, None without a segmenter), its
+    pose."""
 
     frame: StereoFrame
     depth: DepthMap
@@ -147,7 +149,8 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class MappingReport:
-    """What the mapper says after a keyframe: PSNR of the newest keyframe in dB, loss terms by name, number of Gaussians."""
+    """What the mapper says after a keyframe: PSNR of the newest keyframe in dB, loss terms by name, number of
+    Gaussians."""
 
     psnr_db: float
     gaussians: int
@@ -157,8 +160,8 @@ class MappingReport:
 
 @dataclass(frozen=True)
 class RenderedView:
-    """A rendered image: colour (H, W, 3) float32 in [0, 1], ``depth`` = sum d a T (H, W) float32 in metres (not divided by
-    alpha), alpha (H, W) float32 in [0, 1]."""
+    """A rendered image: colour (H, W, 3) float32 in [0, 1], ``depth`` = sum d a T (H, W) float32 in metres (not
+    divided by alpha), alpha (H, W) float32 in [0, 1]."""
 
     color: npt.NDArray[np.float32]
     depth: Map

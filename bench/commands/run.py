@@ -79,15 +79,16 @@ def _run_one(config: RunConfig, console: Console) -> Path:
     )
     try:
         with Progress(*columns, console=console) as bar:
-            frames = bar.add_task("frames", total=None, note="")
+            frames = bar.add_task("frames", total=None, note="", visible=False)
 
             def show(done: int, total: int, psnr_db: float) -> None:
                 note = f"{psnr_db:.2f} dB" if psnr_db == psnr_db else ""
-                bar.update(frames, completed=done, total=total, note=note)
+                bar.update(frames, completed=done, total=total, note=note, visible=True)
 
             folder = run_system(config, show)
             if folder.already_done:
-                bar.update(frames, total=1, completed=1, note="already done; rerun=true runs it again")
+                note = "already done; rerun=true runs it again"
+                bar.update(frames, total=1, completed=1, note=note, visible=True)
                 if (folder.path / "metrics.json").is_file():
                     return folder.path
             scoring = bar.add_task("scoring", total=None, note="")

@@ -9,7 +9,8 @@ from bench.runs.saved import SavedRun
 
 
 class Evaluator(ABC):
-    """Scores a saved run folder. It never sees a live mapper, so a foreign system's output is scored by the same code."""
+    """Scores a saved run folder. It never sees a live mapper, so a foreign system's output is scored by the same
+    code."""
 
     @abstractmethod
     def evaluate(self, run: SavedRun) -> dict[str, Any]:

@@ -42,8 +42,8 @@ class LossValue:
 
 
 class LossTerm(ABC):
-    """One term. ``photometric = (l1, ssim)`` says that the term is this mixture of mean L1 and 1 - mean SSIM of the colours;
-    all such terms of a run are computed in one fused pass and ``evaluate`` is not called."""
+    """One term. ``photometric = (l1, ssim)`` says that the term is this mixture of mean L1 and 1 - mean SSIM of the
+    colours; all such terms of a run are computed in one fused pass and ``evaluate`` is not called."""
 
     photometric: tuple[float, float] | None = None
 

@@ -15,7 +15,8 @@ from bench.types import Float, StereoCamera
 
 @dataclass(frozen=True)
 class PinholeView:
-    """A camera to render from: ``T_cam_world`` (4, 4) float64 world to camera, intrinsics in px, pixel centres at integers."""
+    """A camera to render from: ``T_cam_world`` (4, 4) float64 world to camera, intrinsics in px, pixel centres at
+    integers."""
 
     T_cam_world: Float
     fx: float
@@ -28,9 +29,8 @@ class PinholeView:
     @classmethod
     def of(cls, camera: StereoCamera, T_world_cam: Float) -> PinholeView:
         """The view of ``camera``'s intrinsics at pose ``T_world_cam``."""
-        return cls(
-            np.linalg.inv(T_world_cam), camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
-        )
+        T_cam_world = np.asarray(np.linalg.inv(T_world_cam), np.float64)
+        return cls(T_cam_world, camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
 
     def halved(self) -> PinholeView:
         """The view whose pixels are the means of 2x2 blocks of this one (an odd last row or column is dropped)."""
@@ -47,7 +47,8 @@ class PinholeView:
 
 @dataclass
 class Rendered:
-    """One render: ``color`` (3, H, W), ``depth`` (H, W) = sum d alpha T in metres, ``alpha`` (H, W) = 1 - final transmittance.
+    """One render: ``color`` (3, H, W), ``depth`` (H, W) = sum d alpha T in metres, ``alpha`` (H, W) = 1 - final
+    transmittance.
 
     Float32, not clamped, no background. ``context`` belongs to the rasterizer (for ``backward``).
     """
@@ -69,8 +70,9 @@ class Gradients:
 
 
 class Rasterizer(ABC):
-    """Renders Gaussians by depth-sorted alpha blending (paper, Eqs. 2-4) with these thresholds, those of gsplat: nearest depth
-    0.2 m, 0.3 px^2 low-pass, alpha at least 1/255 and at most 0.999, a pixel ends before transmittance falls to 1e-4."""
+    """Renders Gaussians by depth-sorted alpha blending (paper, Eqs. 2-4) with these thresholds, those of gsplat:
+    nearest depth 0.2 m, 0.3 px^2 low-pass, alpha at least 1/255 and at most 0.999, a pixel ends before transmittance
+    falls to 1e-4."""
 
     device: torch.device
 

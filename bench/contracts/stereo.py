@@ -14,10 +14,7 @@ from bench.types import DepthMap, Image, Map, StereoCamera, StereoFrame
 class DepthSource(ABC):
     """Gives the depth of a frame's left image. Most authors subclass ``StereoBackbone`` below."""
 
-    name: str = ""
-    """Filled in by the registry's ``build``'s caller; used in messages."""
-
-    def start(self, dataset: Dataset) -> None:
+    def start(self, dataset: Dataset) -> None:  # noqa: B027 - most sources have nothing to do here
         """Called once before the first frame of a sequence; reset state that is carried from frame to frame here."""
 
     @abstractmethod
@@ -45,7 +42,7 @@ def _check(disparity: Map, left: Image, plugin: str) -> None:
     if not isinstance(disparity, np.ndarray) or disparity.shape != left.shape[:2]:
         got = getattr(disparity, "shape", type(disparity).__name__)
         raise BenchError(
-            f"{plugin}.disparity returned {got}; expected a float32 array of shape {left.shape[:2]}, the size of the image."
+            f"{plugin}.disparity returned {got}; expected a float32 array of shape {left.shape[:2]}, the image's size."
         )
     if disparity.dtype != np.float32:
         raise BenchError(f"{plugin}.disparity returned dtype {disparity.dtype}; expected float32.")

@@ -25,8 +25,8 @@ SH_C0 = 0.28209479177387814
 def planes_from(means: Tensor, scales: Tensor, quaternions: Tensor, opacities: Tensor, colors: Tensor) -> Tensor:
     """Parameters in readable units to the (14, N) tensor.
 
-    ``means`` (N, 3) metres in the world; ``scales`` (N, 3) standard deviations in metres; ``quaternions`` (N, 4) w, x, y, z,
-    any length but zero; ``opacities`` (N,) in (0, 1); ``colors`` (N, 3) RGB in [0, 1].
+    ``means`` (N, 3) metres in the world; ``scales`` (N, 3) standard deviations in metres; ``quaternions`` (N, 4) w,
+    x, y, z, any length but zero; ``opacities`` (N,) in (0, 1); ``colors`` (N, 3) RGB in [0, 1].
     """
     return torch.cat(
         [

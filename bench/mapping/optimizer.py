@@ -15,7 +15,8 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Rates a parameter; ``position`` is multiplied by each Gaussian's depth at birth, so it is metres a metre of depth."""
+    """Rates a parameter; ``position`` is multiplied by each Gaussian's depth at birth, so it is metres a metre of
+    depth."""
 
     position: float
     color: float
@@ -57,7 +58,7 @@ class MapOptimizer:
         """One update of ``planes`` (14, N) in place; ``position_rate`` (N,) multiplies the rate of the positions."""
         self._step += 1
         if planes.device.type == "cpu":
-            from bench import _native
+            import bench._native as _native
 
             _native.adam_step(
                 planes,

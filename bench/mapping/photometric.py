@@ -12,7 +12,7 @@ from bench.mapping.target import Target
 def photometric(color: Tensor, target: Target, weight_l1: float, weight_ssim: float) -> tuple[float, float, Tensor]:
     """Mean absolute error, mean SSIM, and the gradient (3, H, W) of weight_l1 * L1 + weight_ssim * (1 - SSIM)."""
     if color.device.type == "cpu":
-        from bench import _native
+        import bench._native as _native
 
         grad = torch.empty_like(color)
         mean, variance = target.local_statistics
@@ -20,8 +20,8 @@ def photometric(color: Tensor, target: Target, weight_l1: float, weight_ssim: fl
         return l1, similarity, grad
     leaf = color.detach().requires_grad_()
     with torch.enable_grad():
-        l1 = (leaf - target.image).abs().mean()
-        similarity = ssim(leaf, target.image, target.local_statistics)
-        (weight_l1 * l1 + weight_ssim * (1.0 - similarity)).backward()
+        error = (leaf - target.image).abs().mean()
+        structure = ssim(leaf, target.image, target.local_statistics)
+        (weight_l1 * error + weight_ssim * (1.0 - structure)).backward()
     assert leaf.grad is not None
-    return float(l1), float(similarity), leaf.grad
+    return float(error), float(structure), leaf.grad

@@ -18,11 +18,11 @@ from bench.types import Image, Map, Mask
 class SeedConfig:
     """How a keyframe's pixels become Gaussians.
 
-    ``stride``: every stride-th pixel in both directions. ``max_alpha``, ``min_error``: a pixel is not explained where the
-    map's alpha is below the one or its mean colour error above the other. ``size``: standard deviation along the surface
-    in units of the pixel's footprint times the stride; ``thickness``: across it, as a share of that. ``fill_holes``: give
-    pixels of unknown depth a smoothly filled one, for seeding only. ``sky_distance_m``: where sky pixels are put (0 = no
-    Gaussians for the sky).
+    ``stride``: every stride-th pixel in both directions. ``max_alpha``, ``min_error``: a pixel is not explained where
+    the map's alpha is below the one or its mean colour error above the other. ``size``: standard deviation along the
+    surface in units of the pixel's footprint times the stride; ``thickness``: across it, as a share of that.
+    ``fill_holes``: give pixels of unknown depth a smoothly filled one, for seeding only. ``sky_distance_m``: where
+    sky pixels are put (0 = no Gaussians for the sky).
     """
 
     stride: int = 2
@@ -62,7 +62,9 @@ def disc_axes(inverse: Map, view: PinholeView) -> Map:
     y = (np.arange(view.height, dtype=np.float32) - view.cy)[:, None]
     normal = np.dstack([a * view.fx, b * view.fy, smooth - a * x - b * y])
     length = np.sqrt((normal * normal).sum(2, keepdims=True))
-    return np.where(length > 1e-9, normal / np.maximum(length, 1e-9), np.float32([0, 0, 1])).astype(np.float32)
+    return np.where(length > 1e-9, normal / np.maximum(length, 1e-9), np.array([0, 0, 1], np.float32)).astype(
+        np.float32
+    )
 
 
 def _quaternions_from_z(normals: np.ndarray) -> np.ndarray:
@@ -140,4 +142,6 @@ def seed_gaussians(
     colors = image[v, u].astype(np.float32) / 255.0
     tensors = [torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in (means, scales, quaternions, colors)]
     opacities = torch.full((len(z),), config.opacity)
-    return planes_from(tensors[0], tensors[1], tensors[2], opacities, tensors[3]), torch.from_numpy(z.astype(np.float32))
+    return planes_from(tensors[0], tensors[1], tensors[2], opacities, tensors[3]), torch.from_numpy(
+        z.astype(np.float32)
+    )

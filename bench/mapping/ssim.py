@@ -21,7 +21,7 @@ def gaussian_blur(image: Tensor) -> Tensor:
 def local_statistics(image: Tensor) -> tuple[Tensor, Tensor]:
     """Local mean and variance (C, H, W) under SSIM's window."""
     if image.device.type == "cpu":
-        from bench import _native
+        import bench._native as _native
 
         mean, variance = torch.empty_like(image), torch.empty_like(image)
         _native.target_statistics(image, mean, variance)

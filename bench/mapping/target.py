@@ -19,8 +19,8 @@ from bench.types import Keyframe
 class Target:
     """Supervision of one view at one resolution, as tensors on the rasterizer's device.
 
-    ``image`` (3, H, W) RGB in [0, 1]; ``depth`` (H, W) metres, 0 where it does not supervise; ``depth_mask`` (H, W) bool, the
-    paper's M: stereo depth known, within the depth range, not sky; ``sky`` (H, W) bool.
+    ``image`` (3, H, W) RGB in [0, 1]; ``depth`` (H, W) metres, 0 where it does not supervise; ``depth_mask`` (H, W)
+    bool, the paper's M: stereo depth known, within the depth range, not sky; ``sky`` (H, W) bool.
     """
 
     image: Tensor

@@ -15,9 +15,9 @@ from bench.registry import register
 
 @dataclass(frozen=True)
 class GeoConfig(LossConfig):
-    """``stride`` 2 takes a quarter of the pixels on a regular grid (the paper's S), 1 takes all ("with ds"). ``edge_weighted``
-    multiplies by g = exp(-|grad I|). ``rendered_depth``: "raw" = sum d a T as in the paper's Eq. 3, "normalized" = divided
-    by alpha."""
+    """``stride`` 2 takes a quarter of the pixels on a regular grid (the paper's S), 1 takes all ("with ds").
+    ``edge_weighted`` multiplies by g = exp(-|grad I|). ``rendered_depth``: "raw" = sum d a T as in the paper's Eq. 3,
+    "normalized" = divided by alpha."""
 
     weight: float = 0.1
     stride: int = 2

@@ -26,15 +26,14 @@ from bench.types import Keyframe, MappingReport, RenderedView, StereoCamera, Tra
 
 @dataclass(frozen=True)
 class GaussianMapperConfig(PluginConfig):
-    """Settings of mapping; the defaults are those of ``system=bgs_slam`` (see METHOD in the README for the paper's).
+    """Settings of mapping; the defaults are those of ``system=bgs_slam``.
 
-    ``iterations``: rendered views when a keyframe arrives; ``final_iterations``: rendered views a keyframe at the end, drawn
-    from all keyframes alike. ``coarse_share``: the
-    first part of the iterations runs at half resolution. A view is the newest keyframe with probability ``newest_share``,
-    one of the window with ``window_share``, else an older one. ``*_rate``: Adam's rates (colour, rotation, scale,
-    opacity: the paper's, "Implementation Details"; position: metres a metre of depth). ``prune_opacity``: the paper's
-    removal threshold. ``depth_range_m``: stereo depth outside neither seeds nor supervises. ``cached_targets``: how many
-    keyframes keep their derived images in memory.
+    ``iterations``: rendered views when a keyframe arrives; ``final_iterations``: rendered views a keyframe at the end,
+    drawn from all keyframes alike. ``coarse_share``: the first part of a keyframe's iterations runs at half resolution.
+    A view is the newest keyframe with probability ``newest_share``, one of the window with ``window_share``, else an
+    older one. ``*_rate``: Adam's rates; the position's is metres a metre of depth. ``prune_opacity``: the removal
+    threshold of the paper ("Implementation Details"). ``depth_range_m``: stereo depth outside it neither seeds nor
+    supervises. ``cached_targets``: how many keyframes keep their derived images in memory.
     """
 
     iterations: int = 24
@@ -57,9 +56,13 @@ class GaussianMapperConfig(PluginConfig):
         if self.iterations < 1 or self.final_iterations < 0:
             raise BenchError("mapper.iterations must be at least 1 and mapper.final_iterations at least 0.")
         if min(self.newest_share, self.window_share) < 0 or self.newest_share + self.window_share > 1:
-            raise BenchError("mapper.newest_share + mapper.window_share must lie between 0 and 1; the rest is older views.")
+            raise BenchError(
+                "mapper.newest_share + mapper.window_share must lie between 0 and 1; the rest is older views."
+            )
         if not 0 < self.depth_range_m[0] < self.depth_range_m[1]:
-            raise BenchError(f"mapper.depth_range_m={list(self.depth_range_m)} must be [near, far] with 0 < near < far.")
+            raise BenchError(
+                f"mapper.depth_range_m={list(self.depth_range_m)} must be [near, far] with 0 < near < far."
+            )
         if self.seed.stride < 1:
             raise BenchError(f"mapper.seed.stride={self.seed.stride} must be at least 1.")
 
@@ -128,7 +131,9 @@ class GaussianMapper(Mapper):
         """The cached target of a keyframe; the least recently used one is dropped."""
         pair = self._targets.pop(number, None)
         if pair is None:
-            full = target_of(self._keyframes[number], self._view(number), self.config.depth_range_m, self._planes.device)
+            full = target_of(
+                self._keyframes[number], self._view(number), self.config.depth_range_m, self._planes.device
+            )
             pair = (full, full.halved())
         self._targets[number] = pair
         while len(self._targets) > self.config.cached_targets:

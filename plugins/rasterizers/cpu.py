@@ -26,7 +26,7 @@ class CpuRasterizer(Rasterizer):
     """C++17 core, eight lanes wide, on all cores; the same bits for any number of threads."""
 
     def __init__(self, config: CpuRasterizerConfig) -> None:
-        from bench import _native
+        import bench._native as _native
 
         if config.threads < 0:
             raise BenchError(f"rasterizer.threads={config.threads} must be 0 (all cores) or a positive number.")

@@ -30,7 +30,7 @@ from plugins.trackers.groundtruth import GroundTruth
 
 @dataclass(frozen=True)
 class StoppingConfig(PluginConfig):
-    how: str = ""
+    how: str = "raise"
     marker: str = ""
 
 
@@ -49,7 +49,7 @@ class Stopping(GroundTruth):
             if self._config.how == "memory":
                 raise MemoryError
             Path(self._config.marker).touch()
-            time.sleep(60)
+            time.sleep(3)
         return super().track(frame)
 '''
 

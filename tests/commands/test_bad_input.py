@@ -41,7 +41,7 @@ BAD_KITTI: dict[str, tuple[Damage, list[str], str]] = {
     "no such sequence": (
         lambda r, f: None,
         ["dataset.sequence=17"],
-        r"dataset\.sequence=17 does not exist .* holds 04",
+        r"sequence=17 does not exist .* holds 04",
     ),
     "image missing": (lambda r, f: (f / "image_2/000002.png").unlink(), [], r"rame 2 is missing in .*image_2"),
     "image truncated": (lambda r, f: cut(f / "image_2/000001.png", 500), [], r"image_2/000001\.png is truncated"),
@@ -115,7 +115,7 @@ def test_from_a_fresh_process(tmp_path: Path) -> None:
     process = bgs_bench("run", "dataset=kitti", "dataset.root=nowhere", "dataset.sequence=04", cwd=tmp_path)
     assert process.returncode == 2
     assert re.fullmatch(r"bgs-bench: .*nowhere.*\n", process.stderr), process.stderr
-    assert process.stdout == ""
+    assert process.stdout.strip() == ""
     assert not list(tmp_path.iterdir())
 
 
@@ -148,7 +148,7 @@ def test_other_commands_and_sweeps(
 
 
 def test_an_image_that_only_decoding_finds_damaged(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Header and end are in order, so the run starts; it ends in that frame, says which file, and keeps what was done."""
+    """Header and end are in order, so the run starts; it ends in that frame, names the file, keeps what was done."""
     folder = write_kitti(tmp_path / "kitti")
     path = folder / "image_2" / "000002.png"
     data = bytearray(path.read_bytes())
@@ -159,7 +159,8 @@ def test_an_image_that_only_decoding_finds_damaged(tmp_path: Path, capfd: pytest
     given = [f"dataset.root={tmp_path / 'kitti'}", "dataset.sequence=04", "tracker=groundtruth", "stereo=lidar"]
     assert main(["run", "dataset=kitti", *given, "mapper.iterations=2", f"output={output}"]) == 2
     error = capfd.readouterr().err
-    assert re.fullmatch(r"bgs-bench: .*image_2/000002\.png is damaged.*\n", error), error
+    # (libpng itself prints a line of its own before ours.)
+    assert re.fullmatch(r"bgs-bench: .*image_2/000002\.png is damaged.*", error.splitlines()[-1]), error
     status = json.loads((output / "status.json").read_text())
     assert (status["state"], status["frames_done"]) == ("failed", 2)
     assert "000002.png is damaged" in status["reason"]

@@ -194,10 +194,14 @@ def test_a_stopped_run_says_interrupted_and_keeps_what_was_done(
         cwd=tmp_path,
         env=environment(),
     )
-    deadline = time.monotonic() + 60
-    while not marker.exists() and process.poll() is None and time.monotonic() < deadline:
+    # The tracker waits in frame 2, and the mapper is done with frame 1.
+    deadline, log_file = time.monotonic() + 60, folder / "log.txt"
+    while process.poll() is None and time.monotonic() < deadline:
+        if marker.exists() and "frame 1: keyframe" in log_file.read_text():
+            break
         time.sleep(0.05)
     assert marker.exists(), process.communicate()[1]
+    time.sleep(0.2)
     assert read(folder / "status.json")["state"] == "running"
     process.send_signal(signum)
     _, errors = process.communicate(timeout=60)

@@ -1,0 +1,55 @@
+# Types of the C++ core (bench/native/module.cpp): contiguous CPU tensors or arrays, float32 unless said.
+from typing import Any
+
+def instruction_set() -> str: ...
+def threads() -> int: ...
+def set_threads(threads: int) -> None: ...
+
+class Workspace:
+    def __init__(self) -> None: ...
+    def forward(
+        self,
+        planes: Any,
+        T_cam_world: Any,
+        fx: float,
+        fy: float,
+        cx: float,
+        cy: float,
+        color: Any,
+        depth: Any,
+        alpha: Any,
+    ) -> None: ...
+    def backward(
+        self,
+        planes: Any,
+        grad_color: Any,
+        grad_depth: Any,
+        grad_alpha: Any,
+        grads: Any,
+        touched: Any,
+        pose: bool,
+    ) -> list[float]: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def visible(self) -> int: ...
+    @property
+    def bytes(self) -> int: ...
+
+def photometric(
+    image: Any, target: Any, mean: Any, variance: Any, weight_l1: float, weight_ssim: float, grad: Any
+) -> tuple[float, float]: ...
+def target_statistics(target: Any, mean: Any, variance: Any) -> None: ...
+def adam_step(
+    params: Any,
+    first: Any,
+    second: Any,
+    grads: Any,
+    position_rate: Any,
+    rates: list[float],
+    beta1: float,
+    beta2: float,
+    epsilon: float,
+    step: int,
+    touched: Any,
+) -> None: ...

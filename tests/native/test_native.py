@@ -1,0 +1,98 @@
+"""The bindings of the C++ core: what they check, and that threads behave."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from collections.abc import Iterator
+
+import pytest
+import torch
+
+from bench import _native
+
+
+@pytest.fixture(autouse=True)
+def _threads_as_before() -> Iterator[None]:
+    before = _native.threads()
+    yield
+    _native.set_threads(before)
+
+
+def test_says_which_kernels_run() -> None:
+    assert _native.instruction_set() in ("avx2", "baseline")
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1025])
+def test_number_of_threads_has_limits(threads: int) -> None:
+    with pytest.raises(ValueError, match="threads must be between 1 and 1024"):
+        _native.set_threads(threads)
+
+
+def _photometric_value(image: torch.Tensor) -> float:
+    mean, variance = torch.empty_like(image), torch.empty_like(image)
+    target = image.flip(1).contiguous()
+    _native.target_statistics(target, mean, variance)
+    l1, similarity = _native.photometric(image, target, mean, variance, 0.8, 0.2, torch.empty_like(image))
+    return float(l1 + similarity)
+
+
+def test_calls_from_several_python_threads_wait_for_each_other() -> None:
+    _native.set_threads(2)
+    images = [torch.rand(3, 40, 60, generator=torch.Generator().manual_seed(k)) for k in range(4)]
+    alone = [_photometric_value(image) for image in images]
+    together: dict[int, list[float]] = {}
+
+    def work(k: int) -> None:
+        together[k] = [_photometric_value(images[k]) for _ in range(50)]
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=60)
+    assert together == {k: [value] * 50 for k, value in enumerate(alone)}
+
+
+def _in_child(results: multiprocessing.Queue[float]) -> None:
+    results.put(_photometric_value(torch.full((3, 24, 24), 0.25)))
+
+
+def test_works_after_a_fork() -> None:
+    """Launchers fork; the threads of the parent do not exist in the child."""
+    _native.set_threads(2)
+    expected = _photometric_value(torch.full((3, 24, 24), 0.25))
+    context = multiprocessing.get_context("fork")
+    results = context.Queue()
+    child = context.Process(target=_in_child, args=(results,))
+    child.start()
+    assert results.get(timeout=30) == expected
+    child.join(timeout=30)
+    assert child.exitcode == 0
+
+
+@pytest.mark.parametrize(
+    ("shape", "text"),
+    [((3, 5, 7), "target, mean and variance must have the image's shape"), ((5, 6), "incompatible function arguments")],
+)
+def test_images_of_different_shapes_are_refused(shape: tuple[int, ...], text: str) -> None:
+    image, other = torch.zeros(3, 5, 6), torch.zeros(*shape)
+    with pytest.raises((ValueError, TypeError), match=text):
+        _native.photometric(image, other, image, image, 1.0, 0.0, None)
+
+
+def test_adam_refuses_wrong_shapes() -> None:
+    planes, rates = torch.zeros(14, 6), [0.1] * 14
+    common = (0.9, 0.999, 1e-15, 1, None)
+    with pytest.raises(ValueError, match=r"must all have shape \(14, N\)"):
+        _native.adam_step(planes, planes, planes, torch.zeros(14, 5), None, rates, *common)
+    with pytest.raises(ValueError, match="rates must have 14 entries"):
+        _native.adam_step(planes, planes, planes, planes, None, rates[:3], *common)
+    with pytest.raises(ValueError, match=r"position_rate must have shape \(N,\)"):
+        _native.adam_step(planes, planes, planes, planes, torch.zeros(5), rates, *common)
+
+
+def test_backward_without_its_forward_is_refused() -> None:
+    planes, touched = torch.zeros(14, 3), torch.zeros(3, dtype=torch.bool)
+    with pytest.raises(ValueError, match="planes are not those of the forward pass"):
+        _native.Workspace().backward(planes, None, None, None, planes.clone(), touched, False)
