@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from typing import TypeVar
 
 from bench.contracts.dataset import Dataset
@@ -23,7 +23,7 @@ def prefetch(dataset: Dataset, ahead: int = 2) -> Iterator[tuple[int, StereoFram
     return in_background(((i, dataset.frame(i)) for i in range(len(dataset))), ahead, "bgs-prefetch")
 
 
-def in_background(items: Iterable[T], ahead: int, thread_name: str) -> Iterator[T]:
+def in_background(items: Iterable[T], ahead: int, thread_name: str) -> Generator[T, None, None]:
     """Yield the items in order; up to ``ahead`` of them are made before they are asked for, in a thread of their own.
 
     What making an item raises is raised here, in its place. The thread ends when the consumer closes this generator or

@@ -10,8 +10,8 @@ from __future__ import annotations
 import logging
 import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -146,20 +146,22 @@ class _FrontEnd:
 
 def _run_frames(system: System, done: _Progress, parallel: bool, progress: Progress | None) -> None:
     frames = _front_end(system)
-    for seen in in_background(frames, FRAMES_AHEAD, "bgs-front-end") if parallel else frames:
-        row = seen.row
-        done.seconds["tracking"] += row["tracking_s"]
-        done.seconds["stereo"] += row["stereo_s"]
-        mapping_before = done.seconds["mapping"]
-        if seen.keyframe is not None:
-            row |= _map_keyframe(system, done, seen)
-        row["mapping_s"] = done.seconds["mapping"] - mapping_before
-        done.rows.append(row)
-        if progress is not None:
-            progress(len(done.rows), len(system.dataset), done.psnr_db)
+    # Closed at once when mapping fails: the front end must not go on while what was done is being saved.
+    with closing(in_background(frames, FRAMES_AHEAD, "bgs-front-end") if parallel else frames) as stream:
+        for seen in stream:
+            row = seen.row
+            done.seconds["tracking"] += row["tracking_s"]
+            done.seconds["stereo"] += row["stereo_s"]
+            mapping_before = done.seconds["mapping"]
+            if seen.keyframe is not None:
+                row |= _map_keyframe(system, done, seen)
+            row["mapping_s"] = done.seconds["mapping"] - mapping_before
+            done.rows.append(row)
+            if progress is not None:
+                progress(len(done.rows), len(system.dataset), done.psnr_db)
 
 
-def _front_end(system: System) -> Iterator[_FrontEnd]:
+def _front_end(system: System) -> Generator[_FrontEnd, None, None]:
     """Tracking, keyframing, stereo and sky of every frame, in order."""
     camera = system.dataset.camera
     for position, frame in prefetch(system.dataset):
@@ -254,7 +256,7 @@ def _save(system: System, folder: RunFolder, done: _Progress, memory: PeakMemory
     """Everything but the renders; what there is of it, when the run ended early."""
     frames = max(len(done.rows), 1)
     folder.write_frames(done.rows)
-    folder.write_trajectory(system.tracker.trajectory(), _ground_truth_so_far(system.dataset, done))
+    folder.write_trajectory(_trajectory_so_far(system.tracker, done), _ground_truth_so_far(system.dataset, done))
     if system.mapper.gaussians:
         with atomic_path(folder.path / MAP_FILE) as temporary:
             system.mapper.save(temporary)
@@ -262,8 +264,16 @@ def _save(system: System, folder: RunFolder, done: _Progress, memory: PeakMemory
     folder.write_json(
         RESOURCES_FILE,
         {"peak_memory_gb": memory.peak_gb(), "gaussians": system.mapper.gaussians, "frames": len(done.rows)}
-        | per_frame,
+        | per_frame
+        | {"wall_s_per_frame": None if done.wall_s is None else done.wall_s / frames},
     )
+
+
+def _trajectory_so_far(tracker: Tracker, done: _Progress) -> Trajectory:
+    """The poses of the frames that are done; the front end of an interrupted run may have been ahead of them."""
+    trajectory = tracker.trajectory()
+    keep = np.isin(trajectory.numbers, [row["number"] for row in done.rows])
+    return Trajectory(trajectory.T_world_cam[keep], trajectory.numbers[keep], trajectory.timestamps[keep])
 
 
 def _ground_truth_so_far(dataset: Dataset, done: _Progress) -> Trajectory | None:

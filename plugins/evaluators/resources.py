@@ -9,7 +9,7 @@ from bench.registry import PluginConfig, register
 from bench.runs.folder import RESOURCES_FILE
 from bench.runs.saved import SavedRun
 
-REPORTED = ("peak_memory_gb", "tracking_s_per_frame", "stereo_s_per_frame", "mapping_s_per_frame")
+REPORTED = ("peak_memory_gb", "tracking_s_per_frame", "stereo_s_per_frame", "mapping_s_per_frame", "wall_s_per_frame")
 
 
 @register("evaluator", "resources")
