@@ -11,13 +11,13 @@ from bench.errors import BenchError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a sub-command. Exit code 0 = done, 1 = a run failed, 2 = wrong input, 130 = Ctrl-C."""
-    from bench.commands import evaluate, list, run, table
+    from bench.commands import doctor, evaluate, list, run, table
 
     parser = argparse.ArgumentParser(
         prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors."
     )
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (run, list, table, evaluate):
+    for command in (run, list, table, evaluate, doctor):
         command.add_parser(subparsers)
     args, left = parser.parse_known_args(arguments)
     # argparse takes `run a=1 -m b=2` for two lists of overrides and knows a place for the first only.

@@ -79,7 +79,7 @@ def test_form_of_the_metrics(finished_run: Finished) -> None:
         assert set(metrics["views"][group]) == {"n", "psnr_db", "ssim", "lpips", "depth_l1_cm"}
     assert metrics["trajectory"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)  # tracker=groundtruth
     stages = [f"{stage}_s_per_frame" for stage in ("tracking", "stereo", "mapping")]
-    assert set(metrics["resources"]) == {"peak_memory_gb", *stages}
+    assert {"peak_memory_gb", *stages} <= set(metrics["resources"])
     assert metrics["frames"] == {"total": 4, "tracked": 4, "lost": 0, "mapped": metrics["views"]["train"]["n"]}
 
 

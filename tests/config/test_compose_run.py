@@ -42,6 +42,7 @@ REFUSED = {
     "protocol.alignment=sim3": r"protocol\.alignment='sim3' is not one of se3, none",
     "stereo=[sgbm": r"Can't read the override 'stereo=\[sgbm'.*Write key=value",
     "stereo": r"Can't read the override 'stereo'.*Write key=value",
+    "pipeline=serial": r"pipeline='serial' is not one of parallel, sequential",
     "seed=0,1": r"seed=0,1 names several values; add -m",
     "stereo=sgbm,lidar": r"stereo=sgbm,lidar names several values; add -m",
     "mapper=null": r"Unknown mapper 'None'\. Known: ",
@@ -97,6 +98,7 @@ def test_hash_does_not_depend_on_order_place_or_rerun(tmp_path: Path) -> None:
         ["seed=1", "stereo=sgbm", "stereo.num_disparities=96"],
         ["seed=1", "stereo.num_disparities=96", f"output={tmp_path}"],
         ["seed=1", "stereo.num_disparities=96", "rerun=true"],
+        ["seed=1", "stereo.num_disparities=96", "pipeline=sequential"],
         ["seed=1", "stereo.num_disparities=96", f"plugins=[{tmp_path}]"],
         ["seed=1", "stereo.num_disparities=96", "loss.rgb.weight=0.8"],  # the default, said aloud
     ]

@@ -17,6 +17,7 @@ from bench.config import compose_run
 from bench.errors import BenchError
 from bench.runs.folder import RunFolder
 from bench.system import run_system
+from bench.types import Keyframe, MappingReport
 
 TINY = ("dataset.frames=5", "dataset.width=160", "dataset.height=64", "mapper.iterations=2", "protocol.lpips=false")
 
@@ -109,6 +110,36 @@ def test_state_of_a_run_that_ends_early(
         run(tmp_path / "run", "mapper=spy_for_tests", "tracker=groundtruth", "dataset.frames=2")
     assert state_of(tmp_path / "run")[0] == state
     assert (tmp_path / "run" / "map.ply").is_file()
+
+
+def test_running_ahead_changes_no_bit(tmp_path: Path) -> None:
+    """pipeline=parallel lets the front end run ahead of mapping in a thread; the tracker here does real work."""
+    options = ["tracker=stereo_orb", "dataset.width=320", "dataset.height=96", "dataset.frames=4"]
+    one, other = (run(tmp_path / p, *options, f"pipeline={p}").path for p in ("parallel", "sequential"))
+    for name in ("map.ply", "trajectory.csv", "views/left/color/000003.png", "views/right/depth/000002.png"):
+        assert (one / name).read_bytes() == (other / name).read_bytes(), name
+    tables = [pd.read_csv(folder / "frames.csv").filter(regex="^(?!.*_s$)") for folder in (one, other)]
+    pd.testing.assert_frame_equal(*tables)
+
+
+@pytest.mark.parametrize("pipeline", ["parallel", "sequential"])
+def test_an_error_of_the_mapper_ends_the_front_end_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pipeline: str
+) -> None:
+    """What was done is saved as of that frame, although the front end was ahead, and no thread goes on working."""
+    add = spies.SpyMapper.add_keyframe
+
+    def fails_in_frame_1(self: spies.SpyMapper, keyframe: Keyframe, window: tuple[int, ...]) -> MappingReport:
+        if keyframe.frame.number == 1:
+            raise ValueError("the mapper broke")
+        return add(self, keyframe, window)
+
+    monkeypatch.setattr(spies.SpyMapper, "add_keyframe", fails_in_frame_1)
+    with pytest.raises(ValueError, match="the mapper broke"):
+        run(tmp_path / "run", "mapper=spy_for_tests", "tracker=groundtruth", f"pipeline={pipeline}")
+    assert state_of(tmp_path / "run") == ("failed", "ValueError: the mapper broke", 1)
+    assert len((tmp_path / "run/trajectory_kitti.txt").read_text().splitlines()) == 1
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("bgs-")]
 
 
 def test_progress_is_told_frame_by_frame(tmp_path: Path) -> None:
