@@ -34,7 +34,7 @@ check: install
 	$(BIN)/mypy
 
 bench: install
-	$(BIN)/python -m pytest tests/performance
+	$(BIN)/python -m pytest tests/performance -s
 
 clean:
 	rm -rf $(VENV) build

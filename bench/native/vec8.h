@@ -67,6 +67,19 @@ typedef int32_t i8 __attribute__((vector_size(32)));
 #endif
 }
 
+[[maybe_unused]] inline bool all(i8 mask) {
+#if defined(__AVX2__)
+    return _mm256_movemask_ps(reinterpret_cast<__m256>(mask)) == 0xff;
+#else
+    int64_t w[4];
+    std::memcpy(w, &mask, sizeof w);
+    return (w[0] & w[1] & w[2] & w[3]) == -1;
+#endif
+}
+
+// The lanes of v where the mask is set, zero elsewhere, whatever v holds there.
+[[maybe_unused]] inline f8 only(i8 mask, f8 v) { return reinterpret_cast<f8>(mask & reinterpret_cast<i8>(v)); }
+
 [[maybe_unused]] inline f8 sqrt8(f8 x) {
 #if defined(__AVX2__)
     return reinterpret_cast<f8>(_mm256_sqrt_ps(reinterpret_cast<__m256>(x)));
@@ -94,20 +107,20 @@ typedef int32_t i8 __attribute__((vector_size(32)));
 #endif
 }
 
-// 2^x, relative error below 2e-7 in float32; x is clamped to the range of normal numbers.
-[[maybe_unused]] inline f8 exp2_8(f8 x) {
-    x = max8(x, splat(-126.0f));
+// 2^x for x in -126 .. 127, relative error below 2e-7 in float32; outside, anything (also NaN), but no trap.
+[[maybe_unused]] inline f8 exp2_in_range(f8 x) {
     const f8 magic = splat(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest integer
     const f8 shifted = x + magic;
-    const f8 f = x - (shifted - magic);
-    f8 p = splat(1.32764701e-3f);
-    p = p * f + splat(9.67554096e-3f);
-    p = p * f + splat(5.55071346e-2f);
-    p = p * f + splat(2.40221202e-1f);
-    p = p * f + splat(6.93146944e-1f);
-    p = p * f + splat(1.00000012f);
+    const f8 f = x - (shifted - magic), f2 = f * f;
+    const f8 low = splat(6.93146944e-1f) * f + splat(1.00000012f);
+    const f8 middle = splat(5.55071346e-2f) * f + splat(2.40221202e-1f);
+    const f8 high = splat(1.32764701e-3f) * f + splat(9.67554096e-3f);
+    const f8 p = (high * f2 + middle) * f2 + low;
     return reinterpret_cast<f8>(reinterpret_cast<i8>(p) + (reinterpret_cast<i8>(shifted) << 23));
 }
+
+// 2^x with x clamped to the range of normal numbers.
+[[maybe_unused]] inline f8 exp2_8(f8 x) { return exp2_in_range(min8(max8(x, splat(-126.0f)), splat(126.0f))); }
 
 [[maybe_unused]] inline f8 exp8(f8 x) { return exp2_8(x * splat(1.44269504f)); }
 
