@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cstdlib>
 #include <cstring>
 #include <new>
 
@@ -35,11 +36,16 @@ void set_threads(int threads) {
 }
 
 const KernelTable& kernels() {
+    // BGS_KERNELS=baseline takes the build that runs everywhere, for tests and for hunting down a difference.
+    static const KernelTable& chosen = []() -> const KernelTable& {
 #if defined(BGS_HAVE_AVX2)
-    static const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-    if (avx2) return kernels_avx2;
+        const char* wish = std::getenv("BGS_KERNELS");
+        const bool baseline = wish != nullptr && std::strcmp(wish, "baseline") == 0;
+        if (!baseline && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return kernels_avx2;
 #endif
-    return kernels_baseline;
+        return kernels_baseline;
+    }();
+    return chosen;
 }
 
 void Workspace::forward(const float* planes, size_t stride, int count, const View& view, float* color, float* depth, float* alpha) {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -24,14 +24,14 @@ class FolderConfig(PluginConfig):
     """Folders of PNG or JPEG images (sorted by name, numbered from 0); fx, fy, cx, cy in pixels; baseline in metres;
     ``poses`` a KITTI or TUM file of the left camera, line i for image i; ``frames`` ``"a:b"`` or ``"a:b:step"``."""
 
-    left: str = ""
-    right: str = ""
+    left: str = field(default="", metadata={"path": True})
+    right: str = field(default="", metadata={"path": True})
     fx: float = 0.0
     fy: float = 0.0
     cx: float = 0.0
     cy: float = 0.0
     baseline: float = 0.0
-    poses: str | None = None
+    poses: str | None = field(default=None, metadata={"path": True})
     frames: str = ""
 
 

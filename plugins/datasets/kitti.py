@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,7 @@ _RATE_HZ = 10.0
 class KittiConfig(PluginConfig):
     """``root`` holds ``sequences/`` and ``poses/``; ``frames`` is ``"a:b"`` or ``"a:b:step"``, empty for all."""
 
-    root: str = ""
+    root: str = field(default="", metadata={"path": True})
     sequence: str = "06"
     frames: str = ""
     camera: str = "color"

@@ -93,7 +93,9 @@ class GaussianMapper(Mapper):
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
         number = keyframe.frame.number
-        self._keyframes[number] = keyframe
+        # Replay needs the left image and the depth only; the right images of a long sequence would fill the memory.
+        left_only = replace(keyframe.frame, right=keyframe.frame.right[:0])
+        self._keyframes[number] = replace(keyframe, frame=left_only)
         self._seed(keyframe)
         coarse = round(self.config.iterations * self.config.coarse_share)
         values: dict[str, float] = {}

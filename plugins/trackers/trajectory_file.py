@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from bench.types import Float, StereoFrame, TrackingResult, Trajectory
 class TrajectoryFileConfig(PluginConfig):
     """``path`` of the file; ``format`` is "kitti" (12 numbers a line), "tum" (8) or "auto" (by their count)."""
 
-    path: str = ""
+    path: str = field(default="", metadata={"path": True})
     format: str = "auto"
     max_time_difference_s: float = 0.01
     """How far a TUM pose may be from its frame in time."""

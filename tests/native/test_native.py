@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import torch
@@ -96,3 +100,17 @@ def test_backward_without_its_forward_is_refused() -> None:
     planes, touched = torch.zeros(14, 3), torch.zeros(3, dtype=torch.bool)
     with pytest.raises(ValueError, match="planes are not those of the forward pass"):
         _native.Workspace().backward(planes, None, None, None, planes.clone(), touched, False)
+
+
+def test_the_build_for_every_machine_gives_the_same_images() -> None:
+    """The rasterizer's own tests with the kernels that need no AVX2; in a process of its own, as they are chosen at load."""
+    tests = Path(__file__).parent.parent / "rendering" / "test_cpu_rasterizer.py"
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", str(tests)],
+        env=os.environ | {"BGS_KERNELS": "baseline"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert " passed" in done.stdout

@@ -102,9 +102,7 @@ def test_fused_ssim_against_conv2d() -> None:
 
     seconds = interleaved(
         {
-            "fused L1 + SSIM with gradient": lambda: _native.photometric(
-                image, target, mean, variance, 0.8, 0.2, grad
-            ),
+            "fused L1 + SSIM with gradient": lambda: _native.photometric(image, target, mean, variance, 0.8, 0.2, grad),
             "conv2d 11x11 with autograd": conv2d,
             "separable conv2d with autograd": separable,
         }
@@ -132,8 +130,6 @@ def test_torch_projection_against_ours_whole() -> None:
         (means2d.sum() + depths.sum() + conics.sum()).backward()
 
     rasterizer = CpuRasterizer(CpuRasterizerConfig())
-    seconds = interleaved(
-        {"gsplat's torch projection": project, "our whole pass": render_and_back(rasterizer, planes)}
-    )
+    seconds = interleaved({"gsplat's torch projection": project, "our whole pass": render_and_back(rasterizer, planes)})
     ratio = seconds["gsplat's torch projection"] / seconds["our whole pass"]
     report("projection", seconds, {"torch projection / our whole pass": ratio})
