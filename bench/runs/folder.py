@@ -36,6 +36,7 @@ METRICS_FILE = "metrics.json"
 PER_FRAME_FILE = "per_frame.csv"
 LOG_FILE = "log.txt"
 MAP_FILE = "map.ply"
+PLOT_FILE = "trajectory.png"
 
 FRAME_COLUMNS = ["number", "timestamp", "state", "mapped", "heldout"]
 """What each row of ``frames.csv`` has at least."""
@@ -54,6 +55,7 @@ _RUN_FILES = (
     PER_FRAME_FILE,
     LOG_FILE,
     MAP_FILE,
+    PLOT_FILE,
 )
 _PICTURE = re.compile(r"\d{6,}\.png")
 # Depth PNGs hold metres * 256 as uint16, like KITTI's own depth maps; 0 = no depth.

@@ -7,7 +7,8 @@ from typing import Any
 from bench.contracts.evaluator import Evaluator
 from bench.evaluation.trajectory import absolute_trajectory_error
 from bench.registry import PluginConfig, register
-from bench.runs.folder import TRAJECTORY_FILE
+from bench.report.trajectory_plot import write_trajectory_plot
+from bench.runs.folder import PLOT_FILE, TRAJECTORY_FILE
 from bench.runs.saved import SavedRun
 
 
@@ -27,6 +28,8 @@ class AteEvaluator(Evaluator):
         result = absolute_trajectory_error(run.trajectory, run.ground_truth, run.protocol.alignment)
         if isinstance(result, str):
             return _not_computed(result)
+        aligned = run.protocol.alignment == "se3"
+        write_trajectory_plot(run.path / PLOT_FILE, run.trajectory, run.ground_truth, result, aligned)
         for number, error in zip(result.numbers, result.errors_m, strict=True):
             run.add_per_frame("left", int(number), ate_m=float(error))
         return {
