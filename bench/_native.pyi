@@ -40,6 +40,39 @@ def photometric(
     image: Any, target: Any, mean: Any, variance: Any, weight_l1: float, weight_ssim: float, grad: Any
 ) -> tuple[float, float]: ...
 def target_statistics(target: Any, mean: Any, variance: Any) -> None: ...
+def normal_loss(
+    depth: Any,
+    alpha: Any,
+    covered: float,
+    target_normals: Any,
+    target_valid: Any,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    grad_depth: Any,
+) -> float: ...
+def smooth_loss(
+    depth: Any,
+    alpha: Any,
+    covered: float,
+    distances: list[int],
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    grad_depth: Any,
+) -> float: ...
+def geo_loss(
+    depth: Any,
+    alpha: Any | None,
+    target_depth: Any,
+    depth_mask: Any,
+    edge_weight: Any | None,
+    stride: int,
+    grad_depth: Any,
+    grad_alpha: Any | None,
+) -> float: ...
 def adam_step(
     params: Any,
     first: Any,

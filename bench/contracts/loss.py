@@ -41,6 +41,12 @@ class LossValue:
     grad_alpha: Tensor | None = None
 
 
+def runs_in_core(rendered: Rendered, target: Target) -> bool:
+    """Whether the C++ core can evaluate a term of these images: float32 on the CPU. Terms that it knows use it then."""
+    images = (rendered.depth, rendered.alpha, target.depth)
+    return all(image.device.type == "cpu" and image.dtype == torch.float32 for image in images)
+
+
 class LossTerm(ABC):
     """One term. ``photometric = (l1, ssim)`` says that the term is this mixture of mean L1 and 1 - mean SSIM of the
     colours; all such terms of a run are computed in one fused pass and ``evaluate`` is not called."""

@@ -78,7 +78,9 @@ void Workspace::sort_by_depth(int chunks) {
     starts[chunks] = total;
     visible_ = total, slots_used_ = all_slots;
     const size_t n = static_cast<size_t>(total);
-    uint32_t *keys = keys_.reserve(n), *keys_other = keys_other_.reserve(n), *order = order_.reserve(n), *order_other = order_other_.reserve(n);
+    // All of this is over when bin() has run, so it lives where the backward pass puts the gradient slots.
+    static_assert(sizeof(uint32_t) == sizeof(float), "the sort borrows a buffer of floats");
+    uint32_t *keys = reinterpret_cast<uint32_t*>(slots_.reserve(4 * n)), *keys_other = keys + n, *order = keys_other + n, *order_other = order + n;
     pool().run(chunks, [&](int c) {
         const Record* from = records_.data() + static_cast<size_t>(c) * CHUNK;
         for (int j = 0, at = starts[c]; at < starts[c + 1]; ++j, ++at) {
@@ -170,8 +172,8 @@ void Workspace::backward(const float* planes, size_t stride, const float* grad_c
 }
 
 size_t Workspace::bytes() const {
-    return records_.bytes() + first_slot_.bytes() + chunk_counts_.bytes() + keys_.bytes() + keys_other_.bytes() + order_.bytes() +
-           order_other_.bytes() + tile_start_.bytes() + tile_list_.bytes() + bin_counts_.bytes() + place_.bytes() + slots_.bytes() + pose_.bytes();
+    return records_.bytes() + first_slot_.bytes() + chunk_counts_.bytes() + tile_start_.bytes() + tile_list_.bytes() + bin_counts_.bytes() +
+           place_.bytes() + slots_.bytes() + pose_.bytes();
 }
 
 PhotometricResult photometric(PhotometricArgs args) {

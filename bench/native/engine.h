@@ -59,10 +59,10 @@ private:
     float *color_ = nullptr, *depth_ = nullptr, *alpha_ = nullptr;  // the caller keeps them alive until backward
     Buffer<Record> records_;
     Buffer<int> chunk_counts_;
-    Buffer<uint32_t> first_slot_, keys_, keys_other_, order_, order_other_, tile_start_, tile_list_, bin_counts_;
-    const uint32_t* by_depth_ = nullptr;  // places of records, nearest first: one of the two order buffers
+    Buffer<uint32_t> first_slot_, tile_start_, tile_list_, bin_counts_;
+    const uint32_t* by_depth_ = nullptr;  // places of records, nearest first; until bin() has run
     Buffer<int32_t> place_;
-    Buffer<float> slots_;
+    Buffer<float> slots_;  // gradient slots of the backward pass; in the forward pass, scratch of the sort
     Buffer<double> pose_;
 };
 
@@ -72,5 +72,10 @@ struct PhotometricResult {
 PhotometricResult photometric(PhotometricArgs args);
 void target_statistics(const float* target, float* mean, float* variance, int width, int height, int channels);
 void adam(const AdamArgs& args);
+
+// The geometric loss terms (geometry.cpp); what they derive from the rest of `args` they fill in themselves.
+double normal_loss(NormalArgs args);
+double smooth_loss(SmoothArgs args);
+double geo_loss(GeoArgs args);
 
 }  // namespace bgs

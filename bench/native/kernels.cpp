@@ -9,10 +9,12 @@ namespace {
 #include "kernels_project.inc"
 #include "kernels_raster.inc"
 #include "kernels_loss.inc"
+#include "kernels_geometry.inc"
 
 }  // namespace
 
 extern const KernelTable BGS_TABLE;
-const KernelTable BGS_TABLE = {BGS_ISA, project, raster_forward, raster_backward, project_backward, photometric, target_statistics, adam};
+const KernelTable BGS_TABLE = {BGS_ISA,           project, raster_forward, raster_backward, project_backward, photometric,
+                               target_statistics, adam,    count_normals,  normal_loss,     smooth_loss,      geo_loss};
 
 }  // namespace bgs

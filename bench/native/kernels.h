@@ -19,6 +19,8 @@ constexpr float ALPHA_MAX = 0.999f;
 constexpr float T_MIN = 1e-4f;                  // a pixel stops before transmittance falls to this
 constexpr int TILE_W = 32, TILE_H = 16;
 constexpr int SLOT = 10;                        // sums a Gaussian collects in a tile: 6 moments, 3 colours, depth
+constexpr int GEOMETRY_BAND = 32;               // rows of one task of a geometric loss term
+constexpr float ALPHA_FLOOR = 1e-6f;            // depth / alpha divides by at least this
 constexpr int CHUNK = 2048;                     // Gaussians of one projection task; a multiple of 8
 
 struct View {
@@ -95,6 +97,39 @@ struct PhotometricArgs {
     double* sums;          // per task: sum of |error|, sum of SSIM
 };
 
+// A rendered surface, and where the gradient of a loss on its normals goes.
+struct SurfaceArgs {
+    const float *depth, *alpha;
+    int width, height;
+    float inv_fx, inv_fy, cx, cy;
+    float covered;         // a pixel's depth is known where alpha is above this
+    float scale;           // of the gradient: 1 / number of normals
+    float* grad;           // by depth; written
+};
+
+struct NormalArgs {
+    SurfaceArgs surface;
+    const float* target;   // planar unit normals (3, H, W)
+    const bool* target_valid;
+};
+
+struct SmoothArgs {
+    SurfaceArgs surface;
+    const int* distances;
+    int distance_count;
+    int reach;             // the largest distance that is smaller than the height
+};
+
+struct GeoArgs {
+    const float *depth, *alpha;  // alpha: null where the raw depth is compared, else depth / alpha is
+    const float* target;
+    const bool* mask;
+    const float* edge_weight;    // null = 1
+    float *grad_depth, *grad_alpha;  // written; grad_alpha is null where alpha is
+    int width, height, stride;
+    float weight;          // 1 / number of pixels on the grid
+};
+
 struct AdamArgs {
     float *params, *first, *second;
     const float* grads;
@@ -115,10 +150,19 @@ struct KernelTable {
     void (*photometric)(const PhotometricArgs&, int task, float* scratch);
     void (*target_statistics)(const float* target, float* mean, float* variance, int width, int height, float* scratch);
     void (*adam)(const AdamArgs&, int chunk);
+    int64_t (*count_normals)(const SurfaceArgs&, const bool* target_valid, int task);
+    double (*normal_loss)(const NormalArgs&, int task, float* scratch);
+    double (*smooth_loss)(const SmoothArgs&, int task, float* scratch);
+    double (*geo_loss)(const GeoArgs&, int task, float* scratch);
 };
 
 // floats of scratch that one photometric task needs
 inline size_t photometric_scratch(int width) { return static_cast<size_t>(width + 32) * (11 * 6 + 3); }
+
+// and that one task of a geometric term needs
+inline size_t geo_scratch(int width) { return static_cast<size_t>(width + 16); }
+inline size_t normal_scratch(int width) { return static_cast<size_t>(width + 16) * 4; }
+inline size_t smooth_scratch(int width, int reach) { return static_cast<size_t>(width + 16) * 7 * (static_cast<size_t>(reach) + 2); }
 
 extern const KernelTable kernels_baseline;
 #if defined(BGS_HAVE_AVX2)

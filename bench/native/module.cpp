@@ -22,6 +22,7 @@ using Array2 = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Array3 = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 using Array1 = nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Flags = nb::ndarray<bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Mask = nb::ndarray<bool, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Matrix = nb::ndarray<const double, nb::shape<4, 4>, nb::c_contig, nb::device::cpu>;
 
 void require(bool ok, const char* what) {
@@ -125,6 +126,59 @@ void adam_step(Array2& params, Array2& first, Array2& second, const Array2& grad
     bgs::adam(args);
 }
 
+void check_mask(const Mask& a, int height, int width, const char* what) {
+    require(static_cast<int>(a.shape(0)) == height && static_cast<int>(a.shape(1)) == width, what);
+}
+
+bgs::SurfaceArgs surface_of(const Array2& depth, const Array2& alpha, float covered, float fx, float fy, float cx, float cy, Array2& grad_depth) {
+    const int height = static_cast<int>(depth.shape(0)), width = static_cast<int>(depth.shape(1));
+    check_map(alpha, height, width, "alpha must have the shape of depth");
+    check_map(grad_depth, height, width, "grad_depth must have the shape of depth");
+    require(fx > 0 && fy > 0, "focal lengths must be positive");
+    bgs::SurfaceArgs s{};
+    s.depth = depth.data(), s.alpha = alpha.data(), s.grad = grad_depth.data();
+    s.width = width, s.height = height, s.covered = covered;
+    s.inv_fx = 1.0f / fx, s.inv_fy = 1.0f / fy, s.cx = cx, s.cy = cy;
+    return s;
+}
+
+double normal_loss(const Array2& depth, const Array2& alpha, float covered, const Array3& target_normals, const Mask& target_valid, float fx,
+                   float fy, float cx, float cy, Array2& grad_depth) {
+    bgs::NormalArgs args{surface_of(depth, alpha, covered, fx, fy, cx, cy, grad_depth), target_normals.data(), target_valid.data()};
+    check_image(target_normals, 3, args.surface.height, args.surface.width, "target_normals must have shape (3, H, W) for a depth of shape (H, W)");
+    check_mask(target_valid, args.surface.height, args.surface.width, "target_valid must have the shape of depth");
+    nb::gil_scoped_release release;
+    return bgs::normal_loss(args);
+}
+
+double smooth_loss(const Array2& depth, const Array2& alpha, float covered, const std::vector<int>& distances, float fx, float fy, float cx,
+                   float cy, Array2& grad_depth) {
+    for (const int distance : distances) require(distance >= 1, "distances must be at least 1");
+    const bgs::SurfaceArgs surface = surface_of(depth, alpha, covered, fx, fy, cx, cy, grad_depth);
+    nb::gil_scoped_release release;
+    return bgs::smooth_loss({surface, distances.data(), static_cast<int>(distances.size()), 0});
+}
+
+double geo_loss(const Array2& depth, const std::optional<Array2>& alpha, const Array2& target_depth, const Mask& depth_mask,
+                const std::optional<Array2>& edge_weight, int stride, Array2& grad_depth, std::optional<Array2> grad_alpha) {
+    const int height = static_cast<int>(depth.shape(0)), width = static_cast<int>(depth.shape(1));
+    require(stride >= 1, "stride must be at least 1");
+    require(alpha.has_value() == grad_alpha.has_value(), "give alpha and grad_alpha, or neither");
+    check_map(target_depth, height, width, "target_depth must have the shape of depth");
+    check_mask(depth_mask, height, width, "depth_mask must have the shape of depth");
+    check_map(grad_depth, height, width, "grad_depth must have the shape of depth");
+    if (alpha) check_map(*alpha, height, width, "alpha must have the shape of depth");
+    if (grad_alpha) check_map(*grad_alpha, height, width, "grad_alpha must have the shape of depth");
+    if (edge_weight) check_map(*edge_weight, height, width, "edge_weight must have the shape of depth");
+    bgs::GeoArgs args{};
+    args.depth = depth.data(), args.target = target_depth.data(), args.mask = depth_mask.data();
+    args.alpha = alpha ? alpha->data() : nullptr, args.edge_weight = edge_weight ? edge_weight->data() : nullptr;
+    args.grad_depth = grad_depth.data(), args.grad_alpha = grad_alpha ? grad_alpha->data() : nullptr;
+    args.width = width, args.height = height, args.stride = stride;
+    nb::gil_scoped_release release;
+    return bgs::geo_loss(args);
+}
+
 }  // namespace
 
 NB_MODULE(_native, m) {
@@ -149,4 +203,10 @@ NB_MODULE(_native, m) {
     m.def("target_statistics", &target_statistics, "target"_a.noconvert(), "mean"_a.noconvert(), "variance"_a.noconvert());
     m.def("adam_step", &adam_step, "params"_a.noconvert(), "first"_a.noconvert(), "second"_a.noconvert(), "grads"_a.noconvert(),
           "position_rate"_a.noconvert().none(), "rates"_a, "beta1"_a, "beta2"_a, "epsilon"_a, "step"_a, "touched"_a.noconvert().none());
+    m.def("normal_loss", &normal_loss, "depth"_a.noconvert(), "alpha"_a.noconvert(), "covered"_a, "target_normals"_a.noconvert(),
+          "target_valid"_a.noconvert(), "fx"_a, "fy"_a, "cx"_a, "cy"_a, "grad_depth"_a.noconvert());
+    m.def("smooth_loss", &smooth_loss, "depth"_a.noconvert(), "alpha"_a.noconvert(), "covered"_a, "distances"_a, "fx"_a, "fy"_a, "cx"_a,
+          "cy"_a, "grad_depth"_a.noconvert());
+    m.def("geo_loss", &geo_loss, "depth"_a.noconvert(), "alpha"_a.noconvert().none(), "target_depth"_a.noconvert(), "depth_mask"_a.noconvert(),
+          "edge_weight"_a.noconvert().none(), "stride"_a, "grad_depth"_a.noconvert(), "grad_alpha"_a.noconvert().none());
 }

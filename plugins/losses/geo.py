@@ -1,4 +1,5 @@
-"""Edge-weighted geometric loss against stereo depth (paper, Eqs. 15 and 16)."""
+"""Edge-weighted geometric loss against stereo depth (paper, Eqs. 15 and 16): fused in the C++ core on the CPU, torch
+elsewhere."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
-from bench.contracts.loss import LossConfig, LossTerm, LossValue
+from bench.contracts.loss import LossConfig, LossTerm, LossValue, runs_in_core
 from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError, require_choice
 from bench.mapping.target import Target
@@ -36,6 +37,28 @@ class GeoLoss(LossTerm):
         require_choice("loss.geo.rendered_depth", config.rendered_depth, ["raw", "normalized"])
 
     def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
+        """Value, and the gradients (H, W) by depth and, for normalized depth, by alpha."""
+        return self._in_core(rendered, target) if runs_in_core(rendered, target) else self._in_torch(rendered, target)
+
+    def _in_core(self, rendered: Rendered, target: Target) -> LossValue:
+        import bench._native as _native
+
+        normalized = self.config.rendered_depth == "normalized"
+        grad_depth = torch.empty_like(rendered.depth)
+        grad_alpha = torch.empty_like(rendered.alpha) if normalized else None
+        value = _native.geo_loss(
+            rendered.depth,
+            rendered.alpha if normalized else None,
+            target.depth,
+            target.depth_mask,
+            target.edge_weight if self.config.edge_weighted else None,
+            self.config.stride,
+            grad_depth,
+            grad_alpha,
+        )
+        return LossValue(value, grad_depth=grad_depth, grad_alpha=grad_alpha)
+
+    def _in_torch(self, rendered: Rendered, target: Target) -> LossValue:
         grid = (slice(None, None, self.config.stride),) * 2
         mask = target.depth_mask[grid]
         depth, alpha = rendered.depth[grid], rendered.alpha[grid]

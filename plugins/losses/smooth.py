@@ -1,4 +1,5 @@
-"""Smoothness loss on the rendered normals (paper, Eq. 18)."""
+"""Smoothness loss on the rendered normals (paper, Eq. 18): value and gradient fused in the C++ core on the CPU, torch
+elsewhere."""
 
 from __future__ import annotations
 
@@ -7,7 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from bench.contracts.loss import LossConfig, TorchLoss
+from bench.contracts.loss import LossConfig, LossValue, TorchLoss, runs_in_core
+from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError
 from bench.geometry.normals import normals_from_depth
 from bench.mapping.target import Target
@@ -32,11 +34,25 @@ class SmoothLoss(TorchLoss):
         if not config.distances or min(config.distances) < 1:
             raise BenchError(f"loss.smooth.distances={list(config.distances)} must hold positive pixel distances.")
 
+    def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
+        """Value, and the gradient by depth (H, W); alpha only says where the depth counts."""
+        if not runs_in_core(rendered, target):
+            return super().evaluate(rendered, target)
+        import bench._native as _native
+
+        grad, view, distances = torch.empty_like(rendered.depth), target.view, list(self.config.distances)
+        value = _native.smooth_loss(
+            rendered.depth, rendered.alpha, COVERED, distances, view.fx, view.fy, view.cx, view.cy, grad
+        )
+        return LossValue(value, grad_depth=grad)
+
     def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
         normal, valid = normals_from_depth(depth, alpha.detach() > COVERED, target.view)
         total = depth.new_zeros(())
         for r in self.config.distances:
             for axis in (1, 2):
+                if r >= normal.shape[axis]:
+                    continue
                 size = normal.shape[axis] - r
                 here, there = normal.narrow(axis, 0, size), normal.narrow(axis, r, size)
                 both = valid.narrow(axis - 1, 0, size) & valid.narrow(axis - 1, r, size)

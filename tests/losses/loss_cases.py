@@ -35,3 +35,11 @@ def flat_target(depth: torch.Tensor, view: PinholeView, mask: torch.Tensor | Non
     known = torch.ones_like(depth, dtype=torch.bool) if mask is None else mask
     grey = torch.full((3, *depth.shape), 0.5, dtype=depth.dtype)
     return Target(grey, depth * known, known, torch.zeros_like(known), view)
+
+
+def in_double(rendered: Rendered, target: Target) -> tuple[Rendered, Target]:
+    """The same case in float64, where the terms run in torch: the oracle of the C++ core."""
+    return (
+        Rendered(rendered.color.double(), rendered.depth.double(), rendered.alpha.double()),
+        Target(target.image.double(), target.depth.double(), target.depth_mask, target.sky, target.view),
+    )

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from loss_cases import flat_target, random_case, view_of
+from loss_cases import flat_target, in_double, random_case, view_of
 from torch import Tensor
 
 from bench.contracts.loss import LossTerm
@@ -197,14 +197,6 @@ def test_smooth_with_several_distances_adds_them() -> None:
     assert float(both) == pytest.approx(float(one) + float(three), rel=1e-9)
 
 
-def _double(rendered: Rendered, target: Target) -> tuple[Rendered, Target]:
-    image, depth = target.image.double(), target.depth.double()
-    return (
-        Rendered(rendered.color.double(), rendered.depth.double(), rendered.alpha.double()),
-        Target(image, depth, target.depth_mask, target.sky, target.view),
-    )
-
-
 TERMS: dict[str, Callable[[], LossTerm]] = {
     "geo raw": lambda: GeoLoss(GeoConfig("geo")),
     "geo dense": lambda: GeoLoss(GeoConfig("geo", stride=1, edge_weighted=False)),
@@ -217,7 +209,7 @@ TERMS: dict[str, Callable[[], LossTerm]] = {
 @pytest.mark.parametrize("name", TERMS)
 def test_gradients_against_central_differences(name: str) -> None:
     """In float64, by depth and alpha. The coverage test of normal and smooth is a constant, so alpha stays off 0.5."""
-    rendered, target = _double(*random_case(9, 11, seed=8))
+    rendered, target = in_double(*random_case(9, 11, seed=8))
     rendered.alpha[(rendered.alpha - 0.5).abs() < 1e-3] = 0.6
     term = TERMS[name]()
     result = term.evaluate(rendered, target)
