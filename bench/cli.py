@@ -12,8 +12,8 @@ from bench.errors import BenchError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a sub-command. Exit code 0 = done, 1 = a run failed, 2 = wrong input, 130 = Ctrl-C."""
-    # Read when torch is first imported, below: its OpenMP threads would otherwise spin after each operation and take the
-    # cores from the C++ core's threads.
+    # Read when torch is first imported, below: its OpenMP threads would otherwise spin after each operation and take
+    # the cores from the C++ core's threads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     from bench.commands import doctor, evaluate, list, run, table
 
