@@ -34,7 +34,7 @@ check: install
 	$(BIN)/mypy
 
 bench: install
-	$(BIN)/python -m pytest tests/performance -s
+	OMP_WAIT_POLICY=passive $(BIN)/python -m pytest tests/performance -s
 
 clean:
 	rm -rf $(VENV) build
