@@ -111,7 +111,7 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
     with folder.attach_log(), _terminate_as_interrupt():
         folder.set_status("running", frames_total=total)
         try:
-            folder.write_json(PROVENANCE_FILE, collect_provenance(config.values, config.values["seed"], {}))
+            folder.write_json(PROVENANCE_FILE, collect_provenance(config.values, config.values["seed"]))
             _run_frames(system, done, config.values["pipeline"] == "parallel", progress)
             with done.timed("mapping"):
                 system.mapper.update_poses(system.tracker.trajectory())

@@ -7,7 +7,7 @@ images are RGB uint8 (H, W, 3); depth and disparity maps are float32 (H, W) with
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -53,19 +53,6 @@ class StereoCamera:
         T = np.eye(4)
         T[:3, 3] = self.right_position
         return T
-
-    def resized(self, width: int, height: int) -> StereoCamera:
-        """The same camera for images resized to ``width`` x ``height`` (pixel centres at integer coordinates)."""
-        sx, sy = width / self.width, height / self.height
-        return replace(
-            self,
-            width=width,
-            height=height,
-            fx=self.fx * sx,
-            fy=self.fy * sy,
-            cx=(self.cx + 0.5) * sx - 0.5,
-            cy=(self.cy + 0.5) * sy - 0.5,
-        )
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,10 @@ from bench.config import plugin_config_from
 from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.runs.atomic import write_json, write_text
-from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, RESOURCES_FILE
+from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE
+from bench.runs.provenance import describe_weights
 from bench.runs.saved import ProgressReport, SavedRun
+from bench.runs.status import read_json
 
 
 def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[str, Any]:
@@ -33,6 +35,7 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
         evaluator = registry.build(plugin_config_from("evaluator", {"name": name} | (mapping or {})), "evaluator")
         merge(metrics, evaluator.evaluate(run))
     merge(metrics, {"map": _map_size(run), "frames": _frame_counts(run)})
+    _record_weights(run)
     write_text(run.path / PER_FRAME_FILE, run.per_frame().to_csv(index=False))
     write_json(run.path / METRICS_FILE, metrics)
     return metrics
@@ -50,6 +53,15 @@ def merge(into: dict[str, Any], part: dict[str, Any], where: str = "") -> None:
             )
         else:
             into[key] = value
+
+
+def _record_weights(run: SavedRun) -> None:
+    """Add the weights that scoring used to ``provenance.json``, where the run has one."""
+    path = run.path / PROVENANCE_FILE
+    if run.weights and path.is_file():
+        provenance = read_json(path)
+        provenance["weights"] = provenance.get("weights", {}) | describe_weights(run.weights)
+        write_json(path, provenance)
 
 
 def _frame_counts(run: SavedRun) -> dict[str, int]:

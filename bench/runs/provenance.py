@@ -33,10 +33,11 @@ _PACKAGES = (
 )
 
 
-def collect_provenance(config: dict[str, Any], seed: int, weights: dict[str, Path]) -> dict[str, Any]:
+def collect_provenance(config: dict[str, Any], seed: int) -> dict[str, Any]:
     """Everything that is needed to make a run again, as a plain dict for ``provenance.json``.
 
-    ``weights`` maps what a file is to the file. A missing git, checkout or GPU gives None, never an error.
+    A missing git, checkout or GPU gives None, never an error. ``weights`` is filled in by what loads some
+    (``describe_weights``).
     """
     return {
         "git": _git_state(),
@@ -53,8 +54,13 @@ def collect_provenance(config: dict[str, Any], seed: int, weights: dict[str, Pat
             "torch_threads": torch.get_num_threads(),
             "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         },
-        "weights": {name: {"file": path.name, "sha256": sha256_of(path)} for name, path in weights.items()},
+        "weights": {},
     }
+
+
+def describe_weights(weights: dict[str, Path]) -> dict[str, dict[str, str]]:
+    """Name and SHA-256 of each file of network weights, by what it is for."""
+    return {name: {"file": path.name, "sha256": sha256_of(path)} for name, path in weights.items()}
 
 
 def sha256_of(path: Path) -> str:

@@ -60,6 +60,8 @@ class SavedRun:
         self.config, self.config_hash = known
         self.on_progress: ProgressReport | None = None
         self._per_frame: dict[tuple[str, int], dict[str, Any]] = {}
+        # Files of network weights that scoring used, by what they are for: evaluators put theirs here.
+        self.weights: dict[str, Path] = {}
 
     @cached_property
     def status(self) -> RunStatus:

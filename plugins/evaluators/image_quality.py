@@ -56,6 +56,7 @@ def _lpips_of(run: SavedRun) -> tuple[Lpips | None, dict[str, Any]]:
     found = find_alexnet_weights(run.protocol.lpips_weights)
     if isinstance(found, str):
         return None, {"notes": {"lpips": found}}
+    run.weights["lpips"] = found.path
     return Lpips(found), {"protocol": {"lpips_weights_sha256": sha256_of(found.path)}}
 
 

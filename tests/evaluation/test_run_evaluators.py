@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from pathlib import Path
@@ -100,8 +101,11 @@ def test_lpips_is_reported_or_explained(
     assert metrics["views"]["left"]["lpips"] is None
     assert metrics["notes"]["lpips"] == "no weights: looked around"
     monkeypatch.undo()
-    tiny_config["protocol"]["lpips_weights"] = str(weights_root / "lpips" / "alex_features.npz")
-    metrics = evaluate_run(write_tiny_run(tmp_path / "other", tiny_config))
+    weights = weights_root / "lpips" / "alex_features.npz"
+    tiny_config["protocol"]["lpips_weights"] = str(weights)
+    other = write_tiny_run(tmp_path / "other", tiny_config)
+    (other / "provenance.json").write_text('{"seed": 7, "weights": {}}')
+    metrics = evaluate_run(other)
     assert (
         0
         < metrics["views"]["train"]["lpips"]
@@ -109,7 +113,10 @@ def test_lpips_is_reported_or_explained(
         < metrics["views"]["right"]["lpips"]
     )
     assert "lpips_weights" not in metrics["protocol"]
-    assert len(metrics["protocol"]["lpips_weights_sha256"]) == 64
+    sha256 = hashlib.sha256(weights.read_bytes()).hexdigest()
+    assert metrics["protocol"]["lpips_weights_sha256"] == sha256
+    provenance = json.loads((other / "provenance.json").read_text())
+    assert provenance == {"seed": 7, "weights": {"lpips": {"file": "alex_features.npz", "sha256": sha256}}}
 
 
 def test_an_interrupted_run_is_scored_as_far_as_it_got(tmp_path: Path, tiny_config: dict[str, Any]) -> None:

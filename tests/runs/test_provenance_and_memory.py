@@ -13,14 +13,17 @@ import pytest
 
 from bench.runs import provenance
 from bench.runs.memory import PeakMemory
-from bench.runs.provenance import collect_provenance
+from bench.runs.provenance import collect_provenance, describe_weights
 
 
 def test_provenance_names_what_made_the_run(tmp_path: Path) -> None:
     weights = tmp_path / "net.pth"
     weights.write_bytes(b"weights")
-    found = collect_provenance({"stereo": {"name": "sgbm"}, "seed": 3}, 3, {"stereo": weights})
-    assert found["weights"]["stereo"] == {"file": "net.pth", "sha256": hashlib.sha256(b"weights").hexdigest()}
+    found = collect_provenance({"stereo": {"name": "sgbm"}, "seed": 3}, 3)
+    assert describe_weights({"stereo": weights})["stereo"] == {
+        "file": "net.pth",
+        "sha256": hashlib.sha256(b"weights").hexdigest(),
+    }
     assert found["packages"]["numpy"] == importlib.metadata.version("numpy")
     assert found["seed"] == 3
     assert found["plugins"] == {"stereo": "sgbm"}
@@ -33,7 +36,7 @@ def test_git_state_of_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     (package / "registry.py").write_text("")
     monkeypatch.setattr(provenance.bench, "__file__", str(package / "__init__.py"))
     monkeypatch.chdir(tmp_path)
-    assert collect_provenance({}, 0, {})["git"] is None
+    assert collect_provenance({}, 0)["git"] is None
 
     def git(*arguments: str) -> str:
         identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
@@ -43,12 +46,12 @@ def test_git_state_of_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         return done.stdout.strip()
 
     git("init")
-    assert collect_provenance({}, 0, {})["git"] == {"commit": None, "dirty": True}
+    assert collect_provenance({}, 0)["git"] == {"commit": None, "dirty": True}
     git("add", ".")
     git("commit", "-m", "one")
-    assert collect_provenance({}, 0, {})["git"] == {"commit": git("rev-parse", "HEAD"), "dirty": False}
+    assert collect_provenance({}, 0)["git"] == {"commit": git("rev-parse", "HEAD"), "dirty": False}
     (package / "new.py").write_text("")
-    assert collect_provenance({}, 0, {})["git"]["dirty"] is True
+    assert collect_provenance({}, 0)["git"]["dirty"] is True
 
 
 def test_peak_memory_sees_what_was_allocated_and_freed() -> None:
