@@ -86,3 +86,50 @@ def adam_step(
     step: int,
     touched: Any,
 ) -> None: ...
+
+# The tracker's part (bench/native/tracking_bindings.cpp): numpy arrays, float64 and int64 unless said.
+class OrbExtractor:
+    def __init__(self, features: int, octaves: int, scale_factor: float, threshold: int, tests: Any) -> None: ...
+    def extract(self, image: Any) -> tuple[Any, Any, Any, list[Any]]: ...
+
+def bucketed(corners: Any, wanted: int, bucket: int) -> tuple[tuple[int, int, int], ...]: ...
+def pair_rows(
+    left_xy: Any,
+    left_octave: Any,
+    left_descriptors: Any,
+    right_xy: Any,
+    right_octave: Any,
+    right_descriptors: Any,
+    band: Any,
+    nearest_left: float,
+    beyond: float,
+    max_hamming: int,
+) -> tuple[Any, Any]: ...
+def refine_disparity(left: list[Any], right: list[Any], octave: Any, at_left: Any, x_right: Any) -> tuple[Any, Any]: ...
+def match_boxes(
+    uv: Any,
+    radius: Any,
+    octave: Any,
+    disparity: Any,
+    descriptors: Any,
+    keypoint_xy: Any,
+    keypoint_octave: Any,
+    keypoint_disparity: Any,
+    keypoint_descriptors: Any,
+    max_hamming: int,
+    ratio: float,
+    octave_tolerance: float,
+) -> tuple[Any, Any]: ...
+def optimise_pose(
+    camera: list[float], points: Any, measured: Any, T_cam_world: Any, rounds: int, iterations: int
+) -> tuple[Any, Any, float]: ...
+def bundle_adjust(
+    camera: list[float],
+    T_cam_world: Any,
+    fixed: int,
+    points: Any,
+    keyframe: Any,
+    point: Any,
+    measured: Any,
+    iterations: list[int],
+) -> tuple[Any, Any, Any, float, float]: ...

@@ -28,6 +28,7 @@ from bench.contracts.sky import SkySegmenter
 from bench.contracts.stereo import DepthSource
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
+from bench.evaluation.frame_states import stretches
 from bench.evaluation.protocol import Protocol
 from bench.prefetch import in_background, prefetch
 from bench.runs.atomic import atomic_path
@@ -85,6 +86,11 @@ class _Progress:
     started: float = field(default_factory=time.perf_counter)
     wall_s: float | None = None  # of the whole SLAM, before rendering for the evaluation
 
+    def lost_stretches(self) -> list[list[int]]:
+        """[first, last] number of every stretch of frames without a pose."""
+        lost = np.array([row["state"] == "lost" for row in self.rows], dtype=bool)
+        return stretches([row["number"] for row in self.rows], lost)
+
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
         """Add the wall-clock time of the block to a stage."""
@@ -119,7 +125,7 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
             done.wall_s = time.perf_counter() - done.started
             _save_views(system, folder)
             _save(system, folder, done, memory)
-            folder.set_status("done", frames_done=len(done.rows), frames_total=total)
+            folder.set_status("done", frames_done=len(done.rows), frames_total=total, lost=done.lost_stretches())
         except BaseException as error:
             state, reason = _how_it_ended(error)
             log.exception("The run ended early: %s", reason)
@@ -129,7 +135,7 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
                 # What ended the run is what the user must hear of; that it broke the saving too is in the log.
                 log.exception("What was done could not all be saved")
             finally:
-                folder.set_status(state, reason, frames_done=len(done.rows), frames_total=total)
+                folder.set_status(state, reason, len(done.rows), total, done.lost_stretches())
             raise
     return folder
 

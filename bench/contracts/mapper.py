@@ -24,7 +24,11 @@ class Mapper(ABC):
 
     @abstractmethod
     def update_poses(self, trajectory: Trajectory) -> None:
-        """The tracker's current poses; a mapper takes over those of the keyframes that it holds."""
+        """The tracker's current poses. A mapper takes over those of its keyframes, and its map follows: what a keyframe
+        brought into the map moves with it when its pose is corrected, by local bundle adjustment or by a closed loop.
+
+        Called before each keyframe and once before ``finish``; a frame that the trajectory lacks is lost and stays.
+        """
 
     @abstractmethod
     def finish(self) -> None:

@@ -79,9 +79,20 @@ class Protocol:
         stamp = asdict(self)
         del stamp["lpips_weights"]
         return stamp | {
-            "trajectory": "RMSE over all tracked frames that have ground truth, no scale",
+            **trajectory_stamp(self.alignment),
             "psnr": "joint over pixels and channels, 8-bit images, capped at 100 dB",
             "lpips_net": "alex, v0.1" if self.lpips else None,
             "depth_l1": "left views, LiDAR pixels in range, no surface counts as depth 0, mean of frame means",
             "average": "mean of per-frame values",
         }
+
+
+def trajectory_stamp(alignment: str) -> dict[str, str]:
+    """How the numbers about trajectories were made, for any trajectory that ``alignment`` was used on."""
+    scale = "with scale" if alignment == "sim3" else "no scale"
+    return {
+        "alignment": alignment,
+        "trajectory": f"RMSE over all tracked frames that have ground truth, {scale}",
+        "rpe": f"pairs of tracked frames, {scale}",
+        "t_rel": f"KITTI's definition, plain mean over all segments whose ends are tracked, {scale}",
+    }

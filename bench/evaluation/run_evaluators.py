@@ -9,6 +9,7 @@ from bench import registry
 from bench.config import plugin_config_from
 from bench.discovery import load_plugins
 from bench.errors import BenchError
+from bench.evaluation.frame_states import count_states
 from bench.runs.atomic import write_json, write_text
 from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE
 from bench.runs.provenance import describe_weights
@@ -64,13 +65,11 @@ def _record_weights(run: SavedRun) -> None:
         write_json(path, provenance)
 
 
-def _frame_counts(run: SavedRun) -> dict[str, int]:
-    lost = int((run.frames["state"] == "lost").sum())
+def _frame_counts(run: SavedRun) -> dict[str, Any]:
     return {
         # An interrupted run has rows for what it did; the status knows how many frames there were to do.
         "total": max(len(run.frames), run.status.frames_total),
-        "tracked": len(run.frames) - lost,
-        "lost": lost,
+        **count_states(run.frames["number"].tolist(), run.frames["state"].tolist()),
         "mapped": int(run.frames["mapped"].sum()),
     }
 

@@ -7,25 +7,26 @@ from collections.abc import Sequence
 
 from bench.errors import BenchError
 
-_HOW = "write dataset.frames=first:end or first:end:step (end is left out), for example dataset.frames=0:10"
+_HOW = "write {0}first:end or first:end:step (end is left out), for example {0}0:10"
 
 
-def parse_frame_range(text: str) -> tuple[int, int | None, int] | None:
+def parse_frame_range(text: str, setting: str = "dataset.frames=") -> tuple[int, int | None, int] | None:
     """``(first, end, step)`` of ``"a:b"`` or ``"a:b:step"``, or None for an empty text (all frames).
 
-    ``first`` may be left out (0) and so may ``end`` (None: up to the last there is). Raises ``BenchError`` otherwise.
+    ``first`` may be left out (0) and so may ``end`` (None: up to the last there is). Raises ``BenchError`` otherwise,
+    which calls the range as the user typed it: ``setting`` and the text.
     """
     text = text.strip()
     if not text:
         return None
     parts = text.split(":")
     if len(parts) not in (2, 3) or not all(part.strip().isdecimal() or not part.strip() for part in parts):
-        raise BenchError(f"dataset.frames={text!r} is no range of frames: {_HOW}.")
+        raise BenchError(f"{setting}{text!r} is no range of frames: {_HOW.format(setting)}.")
     first = int(parts[0] or 0)
     end = int(parts[1]) if parts[1].strip() else None
     step = int(parts[2]) if len(parts) == 3 and parts[2].strip() else 1
     if step < 1 or (end is not None and end <= first):
-        raise BenchError(f"dataset.frames={text!r} holds no frame: {_HOW}.")
+        raise BenchError(f"{setting}{text!r} holds no frame: {_HOW.format(setting)}.")
     return first, end, step
 
 

@@ -54,6 +54,15 @@ class MapOptimizer:
         """Drop the moments of the Gaussians that are not in the (N,) bool mask."""
         self._first, self._second = self._first[:, mask].contiguous(), self._second[:, mask].contiguous()
 
+    def rotate(self, planes: slice, which: slice, matrix: Tensor) -> None:
+        """The K parameters ``planes`` of the Gaussians ``which`` have been multiplied by an orthogonal (K, K) matrix.
+
+        Gradients turn with the parameters, and so does their mean, the first moment. Of their second moments Adam knows
+        only the diagonal; it turns as if the gradient's components were uncorrelated.
+        """
+        self._first[planes, which] = matrix @ self._first[planes, which]
+        self._second[planes, which] = matrix.square() @ self._second[planes, which]
+
     def step(self, planes: Tensor, gradients: Gradients, position_rate: Tensor) -> None:
         """One update of ``planes`` (14, N) in place; ``position_rate`` (N,) multiplies the rate of the positions."""
         self._step += 1

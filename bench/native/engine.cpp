@@ -36,12 +36,16 @@ void set_threads(int threads) {
 }
 
 const KernelTable& kernels() {
-    // BGS_KERNELS=baseline takes the build that runs everywhere, for tests and for hunting down a difference.
+    // BGS_KERNELS names the best build that may be taken (baseline, avx2), for tests and for hunting down a difference.
     static const KernelTable& chosen = []() -> const KernelTable& {
-#if defined(BGS_HAVE_AVX2)
+#if defined(BGS_HAVE_X86_KERNELS)
         const char* wish = std::getenv("BGS_KERNELS");
-        const bool baseline = wish != nullptr && std::strcmp(wish, "baseline") == 0;
-        if (!baseline && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return kernels_avx2;
+        const auto at_most = [&](const char* name) { return wish != nullptr && std::strcmp(wish, name) == 0; };
+        const bool has_avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
+        const bool has_avx512 = has_avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
+                                __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq");
+        if (has_avx512 && !at_most("baseline") && !at_most("avx2")) return kernels_avx512;
+        if (has_avx2 && !at_most("baseline")) return kernels_avx2;
 #endif
         return kernels_baseline;
     }();
@@ -53,12 +57,12 @@ void Workspace::forward(const float* planes, size_t stride, int count, const Vie
     tiles_x_ = (view.width + TILE_W - 1) / TILE_W, tiles_y_ = (view.height + TILE_H - 1) / TILE_H;
     const int chunks = (count + CHUNK - 1) / CHUNK;
     const KernelTable& k = kernels();
-    const ProjectArgs project{planes, stride, count, view, records_.reserve(static_cast<size_t>(count)), place_.reserve(static_cast<size_t>(count)),
+    const ProjectArgs project{planes, stride, count, view, records_.reserve(static_cast<size_t>(count)), boxes_.reserve(static_cast<size_t>(count)), place_.reserve(static_cast<size_t>(count)),
                               chunk_counts_.reserve(static_cast<size_t>(chunks) + 1), first_slot_.reserve(static_cast<size_t>(chunks) + 1)};
     pool().run(chunks, [&](int chunk) { k.project(project, chunk); });
     sort_by_depth(chunks);
     bin();
-    const RasterArgs raster{records_.data(), tile_start_.data(), tile_list_.data(), view.width, view.height, tiles_x_, tiles_y_, color, depth, alpha};
+    const RasterArgs raster{records_.data(), tile_start_.data(), tile_list_.data(), tile_blocks_.data(), view.width, view.height, tiles_x_, tiles_y_, color, depth, alpha};
     pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_forward(raster, tile); });
 }
 
@@ -88,25 +92,30 @@ void Workspace::sort_by_depth(int chunks) {
             order[at] = static_cast<uint32_t>(c * CHUNK + j);
         }
     });
-    std::vector<std::array<uint32_t, RADIX>> histograms(3);
-    for (auto& h : histograms) h.fill(0);
-    for (size_t j = 0; j < n; ++j) {
-        const uint32_t key = keys[j];
-        ++histograms[0][key & (RADIX - 1)], ++histograms[1][(key >> BITS) & (RADIX - 1)], ++histograms[2][key >> (2 * BITS)];
-    }
-    for (int pass = 0; pass < 3; ++pass) {
-        auto& h = histograms[static_cast<size_t>(pass)];
+    // Each part of the threads counts and then places its own stretch; the parts' buckets follow one another.
+    const int parts = pool().threads();
+    std::vector<std::array<uint32_t, RADIX>> histograms(static_cast<size_t>(parts));
+    const auto stretch = [&](int part) { return n * static_cast<size_t>(part) / static_cast<size_t>(parts); };
+    for (int shift = 0; shift < 3 * BITS; shift += BITS) {
+        pool().run(parts, [&](int part) {
+            auto& h = histograms[static_cast<size_t>(part)];
+            h.fill(0);
+            for (size_t j = stretch(part); j < stretch(part + 1); ++j) ++h[(keys[j] >> shift) & (RADIX - 1)];
+        });
         uint32_t sum = 0;
-        for (auto& bucket : h) {
-            const uint32_t size = bucket;
-            bucket = sum;
-            sum += size;
-        }
-        const int shift = pass * BITS;
-        for (size_t j = 0; j < n; ++j) {
-            const uint32_t to = h[(keys[j] >> shift) & (RADIX - 1)]++;
-            keys_other[to] = keys[j], order_other[to] = order[j];
-        }
+        for (int bucket = 0; bucket < RADIX; ++bucket)
+            for (auto& h : histograms) {
+                const uint32_t size = h[static_cast<size_t>(bucket)];
+                h[static_cast<size_t>(bucket)] = sum;
+                sum += size;
+            }
+        pool().run(parts, [&](int part) {
+            auto& h = histograms[static_cast<size_t>(part)];
+            for (size_t j = stretch(part); j < stretch(part + 1); ++j) {
+                const uint32_t to = h[(keys[j] >> shift) & (RADIX - 1)]++;
+                keys_other[to] = keys[j], order_other[to] = order[j];
+            }
+        });
         std::swap(keys, keys_other), std::swap(order, order_other);
     }
     by_depth_ = order;
@@ -117,18 +126,17 @@ void Workspace::bin() {
     const int tiles = tiles_x_ * tiles_y_, parts = pool().threads();
     uint32_t* counts = bin_counts_.reserve(static_cast<size_t>(tiles) * parts);
     uint32_t* start = tile_start_.reserve(static_cast<size_t>(tiles) + 1);
-    const Record* records = records_.data();
+    const TileBox* boxes = boxes_.data();
     const uint32_t* by_depth = by_depth_;
     // Each part takes a stretch of the depth order; its tiles are visited nearest first.
     const auto each_pair = [&](int part, auto&& visit) {
         const int begin = static_cast<int>(static_cast<int64_t>(visible_) * part / parts);
         const int end = static_cast<int>(static_cast<int64_t>(visible_) * (part + 1) / parts);
         for (int j = begin; j < end; ++j) {
-            if (j + 16 < end) __builtin_prefetch(&records[by_depth[j + 16]].x0);
-            const Record& r = records[by_depth[j]];
-            const int tx1 = (r.x1 - 1) / TILE_W, ty1 = (r.y1 - 1) / TILE_H;
-            for (int ty = r.y0 / TILE_H; ty <= ty1; ++ty)
-                for (int tx = r.x0 / TILE_W; tx <= tx1; ++tx) visit(ty * tiles_x_ + tx, by_depth[j]);
+            if (j + 16 < end) __builtin_prefetch(&boxes[by_depth[j + 16]]);
+            const TileBox box = boxes[by_depth[j]];
+            for (int ty = box.y0; ty <= box.y1; ++ty)
+                for (int tx = box.x0; tx <= box.x1; ++tx) visit(ty * tiles_x_ + tx, by_depth[j]);
         }
     };
     pool().run(parts, [&](int part) {
@@ -148,6 +156,7 @@ void Workspace::bin() {
     }
     start[tiles] = sum;
     uint32_t* list = tile_list_.reserve(sum);
+    tile_blocks_.reserve(sum);
     pool().run(parts, [&](int part) {
         uint32_t* mine = counts + static_cast<size_t>(part) * tiles;
         each_pair(part, [&](int tile, uint32_t place) { list[mine[tile]++] = place; });
@@ -158,7 +167,7 @@ void Workspace::backward(const float* planes, size_t stride, const float* grad_c
                          float* grads, size_t grads_stride, bool* touched, double* pose) {
     const KernelTable& k = kernels();
     float* slots = slots_.reserve(slots_used_ * SLOT);
-    const RasterArgs forward{records_.data(), tile_start_.data(), tile_list_.data(), view_.width, view_.height, tiles_x_, tiles_y_, color_, depth_, alpha_};
+    const RasterArgs forward{records_.data(), tile_start_.data(), tile_list_.data(), tile_blocks_.data(), view_.width, view_.height, tiles_x_, tiles_y_, color_, depth_, alpha_};
     const RasterBackwardArgs raster{forward, grad_color, grad_depth, grad_alpha, slots, first_slot_.data()};
     pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_backward(raster, tile); });
     const int chunks = (count_ + CHUNK - 1) / CHUNK;
@@ -172,7 +181,7 @@ void Workspace::backward(const float* planes, size_t stride, const float* grad_c
 }
 
 size_t Workspace::bytes() const {
-    return records_.bytes() + first_slot_.bytes() + chunk_counts_.bytes() + tile_start_.bytes() + tile_list_.bytes() + bin_counts_.bytes() +
+    return records_.bytes() + first_slot_.bytes() + chunk_counts_.bytes() + tile_start_.bytes() + tile_list_.bytes() + tile_blocks_.bytes() + boxes_.bytes() + bin_counts_.bytes() +
            place_.bytes() + slots_.bytes() + pose_.bytes();
 }
 

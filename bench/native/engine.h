@@ -61,6 +61,8 @@ private:
     Buffer<int> chunk_counts_;
     Buffer<uint32_t> first_slot_, tile_start_, tile_list_, bin_counts_;
     const uint32_t* by_depth_ = nullptr;  // places of records, nearest first; until bin() has run
+    Buffer<uint64_t> tile_blocks_;
+    Buffer<TileBox> boxes_;
     Buffer<int32_t> place_;
     Buffer<float> slots_;  // gradient slots of the backward pass; in the forward pass, scratch of the sort
     Buffer<double> pose_;

@@ -15,6 +15,7 @@ constexpr float SH_C0 = 0.28209479177387814f;   // colour = 0.5 + SH_C0 * c, cla
 constexpr float NEAR = 0.2f;                    // metres; nearer Gaussians are skipped
 constexpr float BLUR = 0.3f;                    // px^2, added to the projected covariance (EWA low-pass)
 constexpr float ALPHA_MIN = 1.0f / 255.0f;
+constexpr float LOG2_255 = 7.99435344f;          // alpha >= ALPHA_MIN where log2(alpha) >= -LOG2_255
 constexpr float ALPHA_MAX = 0.999f;
 constexpr float T_MIN = 1e-4f;                  // a pixel stops before transmittance falls to this
 constexpr int TILE_W = 32, TILE_H = 16;
@@ -30,15 +31,20 @@ struct View {
     float x_over_z_min, x_over_z_max, y_over_z_min, y_over_z_max;  // where the Jacobian is evaluated at most
 };
 
+// The tiles that a Gaussian reaches: first and last column, first and last row.
+struct TileBox {
+    uint16_t x0, x1, y0, y1;
+    int tiles() const { return (x1 - x0 + 1) * (y1 - y0 + 1); }
+};
+
 // One visible Gaussian in image space: exactly one cache line.
 struct alignas(64) Record {
     float x, y;              // projected centre, px
     float a, b, c;           // a dx^2 + b dx dy + c dy^2 = -log2(exp(...)): the conic with log2(e)/2 folded in
-    float limit;             // log2(255 opacity): alpha >= 1/255 where the quadratic form is at most this
-    float opacity;
+    float level;             // log2(opacity): alpha = 2^(level - the quadratic form)
     float color[3];
     float depth;
-    int16_t x0, x1, y0, y1;  // half-open bounding box of alpha >= 1/255, clipped to the image
+    TileBox box;             // of alpha >= 1/255
     uint32_t slot;           // first of its private gradient slots in its chunk's, one a tile of the bounding box
     uint32_t chunk;          // which chunk of Gaussians it is of
 };
@@ -50,6 +56,7 @@ struct ProjectArgs {
     int count;
     View view;
     Record* records;         // chunk k writes from k * CHUNK on; a record's place never changes
+    TileBox* boxes;          // of each record: binning walks them out of order, and these fit the cache
     int32_t* place;          // of each Gaussian's record, -1 if it is not visible
     int* chunk_counts;       // how many records chunk k wrote
     uint32_t* chunk_slots;   // how many (Gaussian, tile) pairs they have; record.slot counts from the chunk's first
@@ -59,6 +66,7 @@ struct RasterArgs {
     const Record* records;
     const uint32_t* tile_start;  // tiles + 1
     const uint32_t* tile_list;   // places of records, nearest first within a tile
+    uint64_t* tile_blocks;       // beside each entry: the blocks of the tile that the Gaussian reaches; the forward pass writes it
     int width, height, tiles_x, tiles_y;
     float *color, *depth, *alpha;  // planar (3, H, W), (H, W), (H, W)
 };
@@ -165,8 +173,8 @@ inline size_t normal_scratch(int width) { return static_cast<size_t>(width + 16)
 inline size_t smooth_scratch(int width, int reach) { return static_cast<size_t>(width + 16) * 7 * (static_cast<size_t>(reach) + 2); }
 
 extern const KernelTable kernels_baseline;
-#if defined(BGS_HAVE_AVX2)
-extern const KernelTable kernels_avx2;
+#if defined(BGS_HAVE_X86_KERNELS)
+extern const KernelTable kernels_avx2, kernels_avx512;
 #endif
 
 }  // namespace bgs

@@ -16,6 +16,8 @@
 namespace nb = nanobind;
 using namespace nb::literals;
 
+void bind_tracking(nb::module_& m);  // tracking_bindings.cpp
+
 namespace {
 
 using Array2 = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
@@ -209,4 +211,5 @@ NB_MODULE(_native, m) {
           "cy"_a, "grad_depth"_a.noconvert());
     m.def("geo_loss", &geo_loss, "depth"_a.noconvert(), "alpha"_a.noconvert().none(), "target_depth"_a.noconvert(), "depth_mask"_a.noconvert(),
           "edge_weight"_a.noconvert().none(), "stride"_a, "grad_depth"_a.noconvert(), "grad_alpha"_a.noconvert().none());
+    bind_tracking(m);
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -119,9 +119,19 @@ class RunFolder:
         write_config(path, config, config_hash)
         return cls(path, already_done=False)
 
-    def set_status(self, state: str, reason: str = "", frames_done: int = 0, frames_total: int = 0) -> None:
-        """Write ``status.json``; ``state`` is running, done, failed, out_of_memory or interrupted."""
-        status = current_status(state, reason, frames_done, frames_total, self._started)
+    def set_status(
+        self,
+        state: str,
+        reason: str = "",
+        frames_done: int = 0,
+        frames_total: int = 0,
+        lost: Sequence[Sequence[int]] = (),
+    ) -> None:
+        """Write ``status.json``; ``state`` is running, done, failed, out_of_memory or interrupted.
+
+        ``lost`` holds [first, last] frame number of every stretch without a pose.
+        """
+        status = current_status(state, reason, frames_done, frames_total, lost, self._started)
         self._started = status.started
         write_status(self.path, status)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,13 +24,14 @@ class RunStatus:
     """What ``status.json`` holds. ``started`` and ``updated`` are UTC times in ISO 8601.
 
     ``process_started`` (clock ticks since boot, from ``/proc``) tells the process of this run from a later one that was
-    given the same number.
+    given the same number. ``lost_stretches`` holds [first, last] frame number of every stretch without a pose.
     """
 
     state: str
     reason: str = ""
     frames_done: int = 0
     frames_total: int = 0
+    lost_stretches: Sequence[Sequence[int]] = ()
     pid: int = 0
     started: str = ""
     updated: str = ""
@@ -56,7 +58,9 @@ class RunStatus:
         return words
 
 
-def current_status(state: str, reason: str, frames_done: int, frames_total: int, started: str) -> RunStatus:
+def current_status(
+    state: str, reason: str, frames_done: int, frames_total: int, lost: Sequence[Sequence[int]], started: str
+) -> RunStatus:
     """The status of this process now; ``started`` is "" on the first call. ``BenchError`` for an unknown state."""
     require_choice("state", state, STATES)
     now = datetime.now(UTC).isoformat(timespec="milliseconds")
@@ -65,6 +69,7 @@ def current_status(state: str, reason: str, frames_done: int, frames_total: int,
         reason=reason,
         frames_done=frames_done,
         frames_total=frames_total,
+        lost_stretches=lost,
         pid=os.getpid(),
         started=started or now,
         updated=now,

@@ -99,13 +99,11 @@ def _cast_polygons(rays: RayGrid, surfaces: Surfaces, hits: Hits) -> None:
     edges = np.cross(corners, np.roll(corners, -1, axis=1))
     edges *= np.sign(np.einsum("pki,pi->pk", edges, corners.mean(axis=1)))[:, :, None]
     nearest = np.linalg.norm(corners, axis=2).min(axis=1)
+    windows = _windows(rays, corners)
     # Near to far, so that what is hidden is found hidden by one look; decals last.
     order = np.lexsort((nearest, decals))
-    for p in order[(offset[order] < -1e-6) & (corners[order, :, 2].max(axis=1) > _NEAR_M)]:
-        window = _window(rays, corners[p])
-        if window is None:
-            continue
-        rows, columns, largest = window
+    for p in order[(offset[order] < -1e-6) & windows.seen[order]]:
+        rows, columns, largest = windows.at(p)
         buffer = hits.inverse_range[rows, columns]
         if not decals[p] and buffer.min() >= np.float32(largest):
             continue
@@ -119,46 +117,60 @@ def _cast_polygons(rays: RayGrid, surfaces: Surfaces, hits: Hits) -> None:
         np.copyto(hits.surface[rows, columns], np.int32(p + 2), where=better)
 
 
-def _window(rays: RayGrid, corners: Float) -> tuple[slice, slice, float] | None:
-    """Rows and columns of the grid that may see the hull of ``corners`` (K, 3, sensor axes), and its largest inverse
-    range; None if no ray does."""
-    z = corners[:, 2]
-    if z.min() < _NEAR_M:
+@dataclass(frozen=True)
+class _Windows:
+    """Parts of a grid that may see each of N things: ``bounds`` (N, 4) first and last row, first and last column (the
+    last ones excluded), ``largest`` (N,) the largest inverse range of each, ``seen`` (N,) whether any ray does."""
+
+    bounds: npt.NDArray[np.int64]
+    largest: Float
+    seen: npt.NDArray[np.bool_]
+
+    def at(self, index: np.signedinteger) -> tuple[slice, slice, float]:
+        """Rows, columns and the largest inverse range of one thing."""
+        top, bottom, left, right = self.bounds[index].tolist()
+        return slice(top, bottom), slice(left, right), float(self.largest[index])
+
+
+def _windows(rays: RayGrid, hulls: Float) -> _Windows:
+    """Windows of the convex hulls of ``hulls`` (N, K, 3), in the sensor's axes."""
+    z = hulls[:, :, 2]
+    nearest, farthest = z.min(axis=1, initial=np.inf), z.max(axis=1, initial=-np.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = hulls[:, :, :2] / z[:, :, None]
+    low, high = slopes.min(axis=1), slopes.max(axis=1)
+    for n in np.flatnonzero((nearest < _NEAR_M) & (farthest > _NEAR_M)):
         # Clip the hull at the near plane: keep the corners before it, and the crossings of all connections.
-        before, behind = corners[z >= _NEAR_M], corners[z < _NEAR_M]
-        if len(before) == 0:
-            return None
+        before, behind = hulls[n][z[n] >= _NEAR_M], hulls[n][z[n] < _NEAR_M]
         t = (_NEAR_M - behind[None, :, 2]) / (before[:, None, 2] - behind[None, :, 2])
         crossing = behind[None] + t[..., None] * (before[:, None] - behind[None])
-        corners = np.vstack([before, crossing.reshape(-1, 3)])
-        z = corners[:, 2]
-    x = corners[:, 0] / z
-    first, last = rays.column_slopes.searchsorted((x.min(), x.max()))
-    if first == last:
-        return None
-    columns = slice(int(first), int(last))
-    if not rays.planar_rows:
-        return slice(0, len(rays.rows)), columns, float("inf")
-    y = corners[:, 1] / z
-    top, bottom = rays.row_slopes.searchsorted((y.min(), y.max()))
-    return (slice(int(top), int(bottom)), columns, 1.0 / float(z.min())) if top < bottom else None
+        clipped = np.vstack([before, crossing.reshape(-1, 3)])
+        clipped_slopes = clipped[:, :2] / clipped[:, 2:]
+        low[n], high[n], nearest[n] = clipped_slopes.min(axis=0), clipped_slopes.max(axis=0), clipped[:, 2].min()
+    bounds = np.empty((len(hulls), 4), dtype=np.int64)
+    bounds[:, 2] = rays.column_slopes.searchsorted(low[:, 0])
+    bounds[:, 3] = rays.column_slopes.searchsorted(high[:, 0])
+    if rays.planar_rows:
+        bounds[:, 0], bounds[:, 1] = rays.row_slopes.searchsorted(low[:, 1]), rays.row_slopes.searchsorted(high[:, 1])
+        largest = 1.0 / np.maximum(nearest, _NEAR_M / 2)
+    else:
+        bounds[:, 0], bounds[:, 1] = 0, len(rays.rows)
+        largest = np.full(len(hulls), np.inf)
+    seen = (farthest > _NEAR_M) & (bounds[:, 0] < bounds[:, 1]) & (bounds[:, 2] < bounds[:, 3])
+    return _Windows(bounds, largest, seen)
 
 
 def _cast_quadrics(rays: RayGrid, surfaces: Surfaces, hits: Hits) -> None:
     """Ellipsoids and cylinders: the nearer root of a quadratic in the range, in coordinates where they are round."""
     R, origin = rays.T_world_sensor[:3, :3], rays.T_world_sensor[:3, 3]
-    boxes: list[tuple[Float, Float, int, bool]] = []
-    for e, row in enumerate(surfaces.ellipsoids):
-        boxes.append((row[:3], row[3:], surfaces.first_ellipsoid + e, False))
-    for c, (x, z, radius, height) in enumerate(surfaces.cylinders):
-        half = np.array([radius, height / 2, radius])
-        boxes.append((np.array([x, -height / 2, z]), half, surfaces.first_cylinder + c, True))
+    x, z, radius, height = surfaces.cylinders.T
+    centres = np.vstack([surfaces.ellipsoids[:, :3], np.stack([x, -height / 2, z], axis=1)])
+    half_sizes = np.vstack([surfaces.ellipsoids[:, 3:], np.stack([radius, height / 2, radius], axis=1)])
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    for centre, radii, surface_id, is_cylinder in boxes:
-        window = _window(rays, (centre + signs * radii - origin) @ R)
-        if window is None:
-            continue
-        rows, columns, largest = window
+    windows = _windows(rays, (centres[:, None] + signs * half_sizes[:, None] - origin) @ R)
+    for index in np.flatnonzero(windows.seen):
+        rows, columns, largest = windows.at(index)
+        centre, radii, is_cylinder = centres[index], half_sizes[index], bool(index >= len(surfaces.ellipsoids))
         buffer = hits.inverse_range[rows, columns]
         if buffer.min() >= np.float32(largest):
             continue
@@ -172,7 +184,7 @@ def _cast_quadrics(rays: RayGrid, surfaces: Surfaces, hits: Hits) -> None:
             inverse[(drop < -np.float32(2 * radii[1]) * inverse) | (drop > 0)] = 0.0
         better = inverse > buffer
         np.copyto(buffer, inverse, where=better)
-        np.copyto(hits.surface[rows, columns], np.int32(surface_id), where=better)
+        np.copyto(hits.surface[rows, columns], np.int32(surfaces.first_ellipsoid + index), where=better)
 
 
 def _quadric_inverse_range(

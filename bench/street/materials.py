@@ -171,6 +171,22 @@ def sign(patch: Patch) -> Map:
     return _mix(_rough(patch, 0.05, 0.03, 0.0), np.full(3, 0.9, dtype=np.float32), np.clip(white, 0.0, 1.0))
 
 
+def truck(patch: Patch) -> Map:
+    """A lorry's canvas with ribs, painted blocks and a dark skirt; wheels on its long sides (variant 1)."""
+    fu, fv = patch.footprint_u, patch.footprint_v
+    color = _rough(patch, 0.08, 0.12, 0.01)
+    color = _mix(color, color * np.float32(0.7), stripes(patch.u, 0.62, 0.02, fu))
+    blocks = stripes(patch.u - np.float32(0.8), 1.3, 0.32, fu) * band(patch.v, 1.7, 2.5, fv)
+    ink = np.array([0.14, 0.16, 0.34], dtype=np.float32) * (1.0 + 0.2 * patch.noise(0.6)[:, :1])
+    color = _mix(color, ink, blocks * (1.0 - stripes(patch.v, 0.27, 0.05, fv)))
+    color = _mix(color, np.array([0.80, 0.45, 0.12], dtype=np.float32), band(patch.v, 3.1, 3.35, fv))
+    color = _mix(color, np.full(3, 0.07, dtype=np.float32), band(patch.v, -1.0, 0.85, fv))
+    from_end = np.minimum(patch.u, patch.extent_u - patch.u)
+    radius = np.hypot(np.abs(from_end - np.float32(1.7)) - np.float32(0.6), patch.v - np.float32(0.5))
+    hub = np.full(3, 0.5, dtype=np.float32) * (1.0 + 0.2 * patch.noise(0.3)[:, :1])
+    return _mix(color, hub, band(radius, -1.0, 0.27, np.maximum(fu, fv)) * patch.variant)
+
+
 def leaves(patch: Patch) -> Map:
     """Foliage: strong contrast on all scales, darker below."""
     fine, coarse = patch.noise(1.4), patch.noise(6.1)

@@ -127,8 +127,30 @@ def add_car(out: SurfaceList, rng: np.random.Generator, place: Place) -> None:
         )
     cabin.append((place.points([(-t, roof, top0), (t, roof, top0), (t, roof, top1), (-t, roof, top1)]), paint))
     out.add_solid(cabin)
-    s, f = w + 0.25, half + 0.2
-    shadow = place.points([(-s, 0, -f), (s, 0, -f), (s, 0, f), (-s, 0, f)])
+    _add_shadow(out, place, w + 0.25, half + 0.2)
+
+
+def add_lorry_box(out: SurfaceList, place: Place, length: float, half_width: float, height: float, look: Look) -> None:
+    """A lorry's unit as one box from the ground up, and its shadow; ``place`` is its centre."""
+    w, half = half_width, length / 2
+    faces = [
+        (
+            place.points([(s * w, 0.0, -half), (s * w, 0.0, half), (s * w, height, half), (s * w, height, -half)]),
+            replace(look, variant=1.0),
+        )
+        for s in (-1, 1)
+    ]
+    for f in (-half, half):
+        faces.append((place.points([(-w, 0.0, f), (w, 0.0, f), (w, height, f), (-w, height, f)]), look))
+    top = [(-w, height, -half), (w, height, -half), (w, height, half), (-w, height, half)]
+    faces.append((place.points(top), replace(look, material=Material.PAINT)))
+    out.add_solid(faces)
+    _add_shadow(out, place, w + 0.3, half + 0.3)
+
+
+def _add_shadow(out: SurfaceList, place: Place, half_width: float, half_length: float) -> None:
+    w, f = half_width, half_length
+    shadow = place.points([(-w, 0, -f), (w, 0, -f), (w, 0, f), (-w, 0, f)])
     out.add_polygon(shadow, np.array([0.0, -1.0, 0.0]), Look(Material.SHADOW, (0.0, 0.0, 0.0)))
 
 

@@ -6,6 +6,8 @@ right (+x). Street coordinates of a ground point are s (metres along the centre 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +45,32 @@ class Piece:
         return x, z, heading
 
 
-class StreetPath:
+class CenterLine(ABC):
+    """A street's centre line as a row of pieces, each beginning where the one before ends."""
+
+    pieces: list[Piece]
+
+    def at(self, s: float) -> tuple[float, float, float]:
+        """x, z and heading of the centre line at ``s``."""
+        starts = [piece.s for piece in self.pieces]
+        index = max(0, int(np.searchsorted(starts, s, side="right")) - 1)
+        x, z, heading = self.pieces[index].at(s)
+        return float(x), float(z), float(heading)
+
+    def beside(self, s: float, d: float) -> tuple[float, float, float]:
+        """x and z of the point at street coordinates (s, d), and the street's heading there."""
+        x, z, heading = self.at(s)
+        return x + d * np.cos(heading), z - d * np.sin(heading), heading
+
+    @abstractmethod
+    def locate(self, x: Map, z: Map, s_from: float, s_to: float) -> tuple[Map, Map, Map]:
+        """Street coordinates s, d and the heading, each (N,) float32, of ground points (N,) on the nearest piece.
+
+        An open street looks only at the pieces between ``s_from`` and ``s_to``.
+        """
+
+
+class StreetPath(CenterLine):
     """Centre line from ``start`` to at least ``end`` metres; a longer one with the same seed begins the same way."""
 
     def __init__(self, rng: np.random.Generator, start: float, end: float) -> None:
@@ -63,37 +90,31 @@ class StreetPath:
                 sign = -sign
             self.pieces.append(Piece(s, radius * turn, x, z, heading, sign / radius))
 
-    def at(self, s: float) -> tuple[float, float, float]:
-        """x, z and heading of the centre line at ``s``."""
-        starts = [piece.s for piece in self.pieces]
-        index = max(0, int(np.searchsorted(starts, s, side="right")) - 1)
-        x, z, heading = self.pieces[index].at(s)
-        return float(x), float(z), float(heading)
-
-    def beside(self, s: float, d: float) -> tuple[float, float, float]:
-        """x and z of the point at street coordinates (s, d), and the street's heading there."""
-        x, z, heading = self.at(s)
-        return x + d * np.cos(heading), z - d * np.sin(heading), heading
-
     def locate(self, x: Map, z: Map, s_from: float, s_to: float) -> tuple[Map, Map, Map]:
-        """Street coordinates s, d and the heading, each (N,) float32, of ground points (N,) on the nearest piece.
-
-        Only pieces between ``s_from`` and ``s_to`` are looked at.
-        """
-        s_best = np.zeros_like(x)
-        d_best = np.full_like(x, np.inf)
-        heading_best = np.zeros_like(x)
+        """See ``CenterLine.locate``; the first and the last piece go on straight, so that every point has a piece."""
         near = [piece for piece in self.pieces if piece.s + piece.length > s_from and piece.s < s_to]
-        for piece in near:
-            s, d, heading = _street_coordinates(piece, x, z)
-            # The first and the last piece go on straight, so that every point belongs to some piece.
-            low = -np.inf if piece is near[0] else piece.s
-            high = np.inf if piece is near[-1] else piece.s + piece.length
-            better = (s >= low) & (s < high) & (np.abs(d) < np.abs(d_best))
-            s_best, d_best = np.where(better, s, s_best), np.where(better, d, d_best)
-            heading_best = np.where(better, heading, heading_best)
-        d_best[np.isinf(d_best)] = 1e3
-        return s_best, d_best, heading_best
+        lows = [-np.inf, *(piece.s for piece in near[1:])]
+        highs = [*(piece.s + piece.length for piece in near[:-1]), np.inf]
+        return nearest_piece(near, lows, highs, x, z)
+
+
+def nearest_piece(
+    pieces: Sequence[Piece], lows: Sequence[float], highs: Sequence[float], x: Map, z: Map
+) -> tuple[Map, Map, Map]:
+    """s, d and heading, each (N,) float32, of points (N,) on the piece nearest to each.
+
+    A piece serves the points with ``low <= s < high``, and d is 1000 for a point that no piece serves.
+    """
+    s_best = np.zeros_like(x)
+    d_best = np.full_like(x, np.inf)
+    heading_best = np.zeros_like(x)
+    for piece, low, high in zip(pieces, lows, highs, strict=True):
+        s, d, heading = _street_coordinates(piece, x, z)
+        better = (s >= low) & (s < high) & (np.abs(d) < np.abs(d_best))
+        s_best, d_best = np.where(better, s, s_best), np.where(better, d, d_best)
+        heading_best = np.where(better, heading, heading_best)
+    d_best[np.isinf(d_best)] = 1e3
+    return s_best, d_best, heading_best
 
 
 def _street_coordinates(piece: Piece, x: Map, z: Map) -> tuple[Map, Map, Map | np.float32]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from bench.street import materials
 from bench.street.casting import cast, pinhole_rays
 from bench.street.materials import Patch
-from bench.street.path import StreetPath
+from bench.street.path import CenterLine
 from bench.street.surfaces import Material, Surfaces
 from bench.types import Float, Image, Map, StereoCamera
 
@@ -31,6 +31,7 @@ _ON_POLYGONS = {
     Material.GLASS: materials.glass,
     Material.METAL: materials.metal,
     Material.SIGN: materials.sign,
+    Material.TRUCK: materials.truck,
 }
 
 
@@ -39,7 +40,7 @@ class Scene:
     """What the light falls on: the surfaces, the path for the ground's markings, the camera's place on it (metres)."""
 
     surfaces: Surfaces
-    path: StreetPath
+    path: CenterLine
     s: float
 
 
@@ -135,7 +136,10 @@ def _along_axis(samples: Samples, normal: Map, axis: Map, start: Map) -> tuple[M
 def _shade_polygons(scene: Scene, T_world_cam: Float, kind: Material, samples: Samples) -> Map:
     surfaces = scene.surfaces
     # Only the polygons that are seen.
-    seen, which = np.unique(samples.surface, return_inverse=True)
+    seen = np.flatnonzero(np.bincount(samples.surface))
+    places = np.zeros(len(surfaces.material), dtype=np.intp)
+    places[seen] = np.arange(len(seen))
+    which = places[samples.surface]
     corners, axes = surfaces.corners[seen - 2], surfaces.axes[seen - 2]
     start = np.einsum("pi,pki->pk", T_world_cam[:3, 3] - corners[:, 0], axes)
     camera_axes = axes @ T_world_cam[:3, :3]

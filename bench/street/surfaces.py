@@ -28,6 +28,7 @@ class Material(IntEnum):
     LEAVES = 11
     SHADOW = 12
     SIGN = 13
+    TRUCK = 14
 
 
 # Ids of the hit map: nothing hit, the ground plane, then polygons, ellipsoids and cylinders in this order.
@@ -90,6 +91,16 @@ class SurfaceList:
         """An upright cylinder that stands on the ground."""
         self.cylinders.append((x, z, radius, height))
         self.cylinder_looks.append(look)
+
+    def bounding_circle(self) -> tuple[Float, float]:
+        """Centre (x, z) and radius in metres of a circle on the ground plan that holds everything."""
+        discs = [np.c_[corners[:, [0, 2]], np.zeros(len(corners))] for corners in self.polygons]
+        discs += [np.array([[e[0], e[2], max(e[3], e[5])]]) for e in self.ellipsoids]
+        discs += [np.array([[c[0], c[1], c[2]]]) for c in self.cylinders]
+        x_z_radius = np.vstack(discs)
+        low, high = (x_z_radius[:, :2] - x_z_radius[:, 2:]).min(0), (x_z_radius[:, :2] + x_z_radius[:, 2:]).max(0)
+        centre = (low + high) / 2
+        return centre, float((np.linalg.norm(x_z_radius[:, :2] - centre, axis=1) + x_z_radius[:, 2]).max())
 
     def extend(self, other: SurfaceList) -> None:
         """Append the surfaces of another list."""

@@ -7,21 +7,27 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError
+from bench.evaluation.frame_states import count_states, describe_stretches
 from bench.runs.config_file import read_config
-from bench.runs.folder import METRICS_FILE, RESOURCES_FILE
+from bench.runs.folder import FRAME_COLUMNS, FRAMES_FILE, METRICS_FILE, RESOURCES_FILE
 from bench.runs.status import read_json, read_status
+from bench.runs.tables_io import read_csv
 
 DEFAULT_FOLDER = Path("results/runs")
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the table: its key in a row, heading, unit, and number of decimals (None: text or a whole number)."""
+    """A column of the table: its key in a row, heading, unit, and number of decimals (None: text or a whole number).
+
+    An ``optional`` one is shown only where a row has a value for it (a CSV file has it always).
+    """
 
     key: str
     title: str
     unit: str = ""
     decimals: int | None = None
+    optional: bool = False
 
 
 COLUMNS = (
@@ -33,6 +39,11 @@ COLUMNS = (
     Column("status", "Status"),
     Column("frames", "Frames"),
     Column("ate_rmse_m", "ATE", "m", 3),
+    Column("rpe_trans_rmse_m", "RPE", "m", 4, optional=True),
+    Column("t_rel_percent", "t_rel", "%", 2, optional=True),
+    Column("r_rel_deg_per_100m", "r_rel", "deg/100m", 3, optional=True),
+    Column("t_rel_short_percent", "t_rel 10-50 m", "%", 2, optional=True),
+    Column("r_rel_short_deg_per_100m", "r_rel 10-50 m", "deg/100m", 3, optional=True),
     Column("psnr_db", "PSNR", "dB", 2),
     Column("ssim", "SSIM", "", 3),
     Column("lpips", "LPIPS", "", 3),
@@ -45,13 +56,23 @@ COLUMNS = (
 )
 
 
+TRAJECTORY_KEYS = tuple(column.key for column in COLUMNS if column.optional or column.key == "ate_rmse_m")
+"""The columns whose values are those of ``metrics.json``'s ``trajectory``, under the same keys."""
+
+
 @dataclass(frozen=True)
 class Row:
-    """Values by column key (None: not known), the protocol stamp of the numbers, and why values are missing."""
+    """Values by column key (None: not known), the protocol stamp of the numbers, and why values are missing.
+
+    ``static_camera``: how many frames have ground truth, and the ATE in metres of a camera that never moves in them.
+    A reference row is no run: it is a mark to compare runs with.
+    """
 
     values: dict[str, Any]
     protocol: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    static_camera: tuple[int, float] | None = None
+    is_reference: bool = False
 
 
 def find_runs(paths: list[Path]) -> list[Path]:
@@ -83,18 +104,42 @@ def collect_row(folder: Path) -> Row:
             values |= part(folder)
         except BenchError as error:
             notes.append(str(error))
+    frames: dict[str, Any] = {}
     try:
         metrics = read_json(folder / METRICS_FILE) if (folder / METRICS_FILE).is_file() else {}
+        frames = _part(metrics, "frames") or _count_frames(folder)
     except BenchError as error:
         notes.append(str(error))
     values |= _from_metrics(metrics)
+    _show_tracked(frames, values)
     if notes:
         values["status"] = f"{values['status'] or ''} (damaged)".strip()
     # The run's own words on why it stopped, and on what it could not compute.
     reason = values.pop("reason", "")
     notes += [f"stopped: {reason}"] if reason else []
+    notes += about_lost_frames(frames, _part(metrics, "trajectory"))
     notes += [f"{name}: {reason}" for name, reason in _part(metrics, "notes").items()]
-    return Row(values, _part(metrics, "protocol"), tuple(notes))
+    return Row(values, _part(metrics, "protocol"), tuple(notes), static_camera_of(_part(metrics, "trajectory"), frames))
+
+
+def static_camera_of(trajectory: dict[str, Any], frames: dict[str, Any]) -> tuple[int, float] | None:
+    """Frames and error of a static camera, from ``trajectory`` and ``frames`` of ``metrics.json``, or None."""
+    error, known = trajectory.get("static_camera_ate_rmse_m"), [frames.get("tracked"), frames.get("lost")]
+    counts = [count for count in known if isinstance(count, int)]
+    return (sum(counts), error) if isinstance(error, float) and len(counts) == len(known) else None
+
+
+def about_lost_frames(frames: dict[str, Any], trajectory: dict[str, Any]) -> list[str]:
+    """Which frames were lost, as a footnote, with what a static camera gets on the others; nothing if none were."""
+    lost = frames.get("lost")
+    if not isinstance(lost, int) or lost == 0:
+        return []
+    where = frames.get("lost_stretches")
+    text = f"{lost} frames lost" + (f" ({describe_stretches(where)})" if isinstance(where, list) else "")
+    compared = trajectory.get("static_camera_compared_ate_rmse_m")
+    if isinstance(compared, float):
+        text += f"; on the others a static camera's ATE is {compared:.3f} m"
+    return [text]
 
 
 def _looks_like_run(folder: Path) -> bool:
@@ -107,6 +152,26 @@ def _from_status(folder: Path) -> dict[str, Any]:
         return {"status": "no status"}
     frames = f"{status.frames_done}/{status.frames_total}" if status.frames_total else None
     return {"status": status.describe(), "frames": frames, "reason": status.reason}
+
+
+def _count_frames(folder: Path) -> dict[str, Any]:
+    """Tracking states of a run that was not scored."""
+    path = folder / FRAMES_FILE
+    if not path.is_file():
+        return {}
+    table = read_csv(path, FRAME_COLUMNS)
+    return {"total": len(table)} | count_states(table["number"].tolist(), table["state"].tolist())
+
+
+def _show_tracked(frames: dict[str, Any], values: dict[str, Any]) -> None:
+    """Put the number of tracked frames, and in the status how many were lost, into a row's values."""
+    tracked, lost = frames.get("tracked"), frames.get("lost")
+    if not (isinstance(tracked, int) and isinstance(lost, int)):
+        return
+    total = str(values["frames"] or "").partition("/")[2] or frames.get("total")
+    values["frames"] = f"{tracked}/{total}"
+    if lost:
+        values["status"] = f"{values['status']}, {lost} frames lost"
 
 
 def _from_config(folder: Path) -> dict[str, Any]:
@@ -137,7 +202,7 @@ def _from_metrics(metrics: dict[str, Any]) -> dict[str, Any]:
     views = _part(metrics, "views")
     left = _part(views, "left")
     values = {key: left.get(key) for key in ("psnr_db", "ssim", "lpips", "depth_l1_cm")}
-    values["ate_rmse_m"] = _part(metrics, "trajectory").get("ate_rmse_m")
+    values |= {key: _part(metrics, "trajectory").get(key) for key in TRAJECTORY_KEYS}
     values["heldout_psnr_db"] = _part(views, "heldout").get("psnr_db")
     values["right_psnr_db"] = _part(views, "right").get("psnr_db")
     values["gaussians"] = _part(metrics, "map").get("gaussians")

@@ -13,8 +13,10 @@ from rich.table import Table
 
 from bench.errors import BenchError
 from bench.tables.collect import COLUMNS, Column, Row
+from bench.tables.static_camera import NAME, static_camera_rows
 
 UNKNOWN = "-"
+_REFERENCE_STYLE = "dim italic"
 _LATEX_SPECIAL = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
@@ -32,6 +34,7 @@ _STAMP = (
     "name",
     "holdout_every",
     "alignment",
+    "matched_by",
     "rendered_depth",
     "depth_min_m",
     "depth_max_m",
@@ -51,22 +54,40 @@ def shown(column: Column, row: Row) -> str:
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def print_table(rows: Sequence[Row], console: Console) -> None:
-    """Print the table and its footnotes.
+def columns_with_values(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> list[Column]:
+    """``columns`` without the optional ones that no row has a value for."""
+    return [
+        column
+        for column in columns
+        if not column.optional or any(row.values.get(column.key) is not None for row in rows)
+    ]
+
+
+def print_table(rows: Sequence[Row], console: Console, columns: Sequence[Column] = COLUMNS) -> None:
+    """Print the table, with a static camera's row for each data set, and its footnotes.
 
     A single run is printed as a list, which fits any terminal. Several are one line each: a line that is longer than
     the terminal is folded by the terminal and not cell by cell, so that it can be piped and searched.
     """
+    shown_columns = columns_with_values(rows, columns)
+    references = static_camera_rows(rows)
     table = Table(show_header=len(rows) > 1)
     if len(rows) == 1:
-        for column in COLUMNS:
+        for column in shown_columns:
             table.add_row(_heading(column, " "), shown(column, rows[0]))
+            if column.key == "ate_rmse_m":
+                for reference in references:
+                    heading = f"{_heading(column, ' ')} of a {NAME}"
+                    table.add_row(heading, shown(column, reference), style=_REFERENCE_STYLE)
     else:
-        for column in COLUMNS:
+        for column in shown_columns:
             justify: JustifyMethod = "right" if _is_number(column) else "left"
             table.add_column(_heading(column, "\n"), justify=justify, no_wrap=True)
         for row in rows:
-            table.add_row(*(shown(column, row) for column in COLUMNS))
+            table.add_row(*(shown(column, row) for column in shown_columns))
+        table.add_section()
+        for row in references:
+            table.add_row(*(shown(column, row) for column in shown_columns), style=_REFERENCE_STYLE)
     # A table takes no more width than it needs, and its console's width at most.
     Console(file=console.file, width=10_000).print(table, markup=False)
     for note in footnotes(rows):
@@ -74,40 +95,62 @@ def print_table(rows: Sequence[Row], console: Console) -> None:
 
 
 def as_markdown(rows: Sequence[Row]) -> str:
-    """A Markdown table with all columns, and below it how the numbers were made and why some are missing."""
+    """A Markdown table with all columns, and below it how the numbers were made and why some are missing.
+
+    The static camera's rows come last, in italics.
+    """
+    columns = columns_with_values(rows)
     lines = [
-        "| " + " | ".join(_heading(column, " ") for column in COLUMNS) + " |",
-        "|" + "|".join("---:" if _is_number(column) else "---" for column in COLUMNS) + "|",
+        "| " + " | ".join(_heading(column, " ") for column in columns) + " |",
+        "|" + "|".join("---:" if _is_number(column) else "---" for column in columns) + "|",
     ]
-    for row in rows:
-        lines.append("| " + " | ".join(shown(column, row).replace("|", "\\|") for column in COLUMNS) + " |")
+    for row in [*rows, *static_camera_rows(rows)]:
+        cells = [shown(column, row).replace("|", "\\|") for column in columns]
+        if row.is_reference:
+            cells = [cell if cell == UNKNOWN else f"*{cell}*" for cell in cells]
+        lines.append("| " + " | ".join(cells) + " |")
     notes = [f"- {note}" for note in footnotes(rows)]
     return "\n".join([*lines, *([""] if notes else []), *notes]) + "\n"
 
 
 def as_csv(rows: Sequence[Row]) -> str:
-    """All columns with full digits, headed by their keys (the unit is in the key); empty where not known."""
+    """All columns with full digits, headed by their keys (the unit is in the key); empty where not known.
+
+    The static camera's rows come last; they have that name in the column ``run``.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([column.key for column in COLUMNS] + ["protocol"])
-    for row in rows:
+    for row in [*rows, *static_camera_rows(rows)]:
         values = [row.values.get(column.key) for column in COLUMNS]
         writer.writerow(["" if value is None else value for value in values] + [row.protocol.get("name", "")])
     return text.getvalue()
 
 
 def as_latex(rows: Sequence[Row]) -> str:
-    """A ``tabular`` with booktabs rules; needs ``\\usepackage{booktabs}``. Footnotes become comments."""
-    alignment = "".join("r" if _is_number(column) else "l" for column in COLUMNS)
+    """A ``tabular`` with booktabs rules; needs ``\\usepackage{booktabs}``. Footnotes become comments.
+
+    The static camera's rows come last, in italics below a rule.
+    """
+    columns = columns_with_values(rows)
+    references = static_camera_rows(rows)
+    alignment = "".join("r" if _is_number(column) else "l" for column in columns)
     lines = [f"% {note}" for note in footnotes(rows)]
     lines += [rf"\begin{{tabular}}{{{alignment}}}", r"\toprule"]
-    lines.append(" & ".join(_latex(_heading(column, " ")) for column in COLUMNS) + r" \\")
+    lines.append(" & ".join(_latex(_heading(column, " ")) for column in columns) + r" \\")
     lines.append(r"\midrule")
-    for row in rows:
-        cells = [shown(column, row) for column in COLUMNS]
-        lines.append(" & ".join("--" if cell == UNKNOWN else _latex(cell) for cell in cells) + r" \\")
+    lines += [_latex_row(row, columns) for row in rows]
+    lines += [r"\midrule"] if references else []
+    lines += [_latex_row(row, columns) for row in references]
     lines += [r"\bottomrule", r"\end{tabular}"]
     return "\n".join(lines) + "\n"
+
+
+def _latex_row(row: Row, columns: Sequence[Column]) -> str:
+    cells = ["--" if cell == UNKNOWN else _latex(cell) for cell in (shown(column, row) for column in columns)]
+    if row.is_reference:
+        cells = [cell if cell == "--" else rf"\textit{{{cell}}}" for cell in cells]
+    return " & ".join(cells) + r" \\"
 
 
 WRITERS: dict[str, Callable[[Sequence[Row]], str]] = {".md": as_markdown, ".csv": as_csv, ".tex": as_latex}

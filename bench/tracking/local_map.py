@@ -40,12 +40,16 @@ class View:
 
 @dataclass
 class KeyframeRecord:
-    """A keyframe of the tracker's own (not the mapper's): ``point_ids`` (N,) names the map point of each keypoint."""
+    """A keyframe of the tracker's own (not the mapper's): ``point_ids`` (N,) names the map point of each keypoint.
+
+    ``begins_map`` is True for the first keyframe of a local map: no observations tie its pose to the keyframe before.
+    """
 
     index: int
     T_cam_world: Float
     view: View
     point_ids: Ints
+    begins_map: bool
 
 
 @dataclass
@@ -124,7 +128,7 @@ class LocalMap:
             new = np.flatnonzero((rows < 0) & (depth < max_depth))
         point_ids[rows < 0] = NO_POINT
         point_ids[new] = self._found(view, new, depth[new], T_cam_world, index)
-        self.keyframes.append(KeyframeRecord(index, T_cam_world, view, point_ids))
+        self.keyframes.append(KeyframeRecord(index, T_cam_world, view, point_ids, begins_map=not self.keyframes))
 
     def _found(self, view: View, keypoint: Ints, depth: Float, T_cam_world: Float, index: int) -> Ints:
         camera, T_world_cam = self._camera, se3.inverse(T_cam_world)
@@ -194,6 +198,15 @@ class LocalMap:
                 record.T_cam_world = solution.T_cam_world[k]
                 self.poses[record.index] = se3.inverse(record.T_cam_world)
             record.point_ids[keypoints[~solution.inliers[problem.blocks[k]]]] = NO_POINT
+
+    def correct(self, poses: Float) -> None:
+        """Take over T_world_cam (K, 4, 4) of all keyframes ever; points move with the keyframe that saw them last."""
+        motion = poses @ se3.inverse(np.array(self.poses))
+        moved = motion[self.points.seen]
+        self.points.position = (moved[:, :3, :3] @ self.points.position[:, :, None])[..., 0] + moved[:, :3, 3]
+        self.poses = list(poses)
+        for record in self.keyframes:
+            record.T_cam_world = se3.inverse(poses[record.index])
 
     def cull(self) -> None:
         """Forget keyframes that left the window, and points that are out of sight, seldom found, or seen only once."""

@@ -1,41 +1,14 @@
-"""Candidate pairs of queries and keypoints, their Hamming distances, and one-to-one choice among them."""
+"""Hamming distances, and one-to-one matches of descriptors in boxes around predicted places."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from bench.tracking.features import Descriptors, Ints
+from bench import _native
+from bench.tracking.features import Descriptors, Features, Ints
 from bench.types import Float
 
-_BAND = 8.0
-"""Height in pixels of the row bands of the index."""
-
-
-class KeypointIndex:
-    """Finds all keypoints in axis-aligned boxes, for many boxes at once. Keypoints ``xy`` (N, 2) in pixels."""
-
-    def __init__(self, xy: Float) -> None:
-        self._xy = xy
-        self._stride = 4.0 * (np.abs(xy).max() + 1.0) if len(xy) else 1.0
-        key = np.floor(xy[:, 1] / _BAND) * self._stride + xy[:, 0]
-        self._order = np.argsort(key, kind="stable")
-        self._key = key[self._order]
-        self._bands = (np.floor(xy[:, 1].min() / _BAND), np.floor(xy[:, 1].max() / _BAND)) if len(xy) else (0.0, -1.0)
-
-    def pairs(self, x_low: Float, x_high: Float, y_low: Float, y_high: Float) -> tuple[Ints, Ints]:
-        """(query, keypoint) indices of every keypoint inside every query's box; bounds (Q,), inclusive."""
-        limit = 0.25 * self._stride
-        x_low, x_high = np.clip(x_low, -limit, limit), np.clip(x_high, -limit, limit)
-        first = np.clip(np.floor(y_low / _BAND), self._bands[0], None).astype(np.int64)
-        last = np.clip(np.floor(y_high / _BAND), None, self._bands[1]).astype(np.int64)
-        query, band = expand_ranges(first, last + 1)
-        start = np.searchsorted(self._key, band * self._stride + x_low[query], side="left")
-        stop = np.searchsorted(self._key, band * self._stride + x_high[query], side="right")
-        owner, place = expand_ranges(start, stop)
-        query, keypoint = query[owner], self._order[place]
-        y = self._xy[keypoint, 1]
-        inside = (y >= y_low[query]) & (y <= y_high[query])
-        return query[inside], keypoint[inside]
+_OCTAVE_TOLERANCE = 1.5
 
 
 def expand_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
@@ -51,24 +24,47 @@ def hamming(a: Descriptors, b: Descriptors) -> Ints:
     return np.bitwise_count(a ^ b).sum(axis=-1, dtype=np.int64)
 
 
-def choose_one_to_one(
-    query: Ints, keypoint: Ints, distance: Ints, max_distance: int, ratio: float = 1.0
-) -> tuple[Ints, Ints, Ints]:
-    """The nearest keypoint of every query, and of queries that want the same keypoint the nearest one.
+def one_to_one(wanted: Ints, distance: Ints) -> Ints:
+    """Queries (M,), ascending, that get what they want: ``wanted`` (Q,) or -1; of rivals the nearest, then the first.
 
-    ``query``, ``keypoint``, ``distance`` (M,) are candidate pairs. A query whose best distance is above
-    ``max_distance``, or not below ``ratio`` times its second best (Lowe's test; 1.0 = off), gets nothing. Returns
-    (query, keypoint, distance), ordered by query.
+    ``distance`` (Q,) is the distance of each query to what it wants.
     """
-    order = np.lexsort((keypoint, distance, query))
-    query, keypoint, distance = query[order], keypoint[order], distance[order]
-    first = np.diff(query, prepend=-1) != 0
-    accepted = first & (distance <= max_distance)
-    if ratio < 1.0 and len(query) > 1:
-        has_second = np.append(~first[1:], False)
-        second = np.append(distance[1:], 0)
-        accepted &= ~has_second | (distance < ratio * second)
-    query, keypoint, distance = query[accepted], keypoint[accepted], distance[accepted]
-    order = np.lexsort((query, distance, keypoint))
-    winner = np.sort(order[np.diff(keypoint[order], prepend=-1) != 0])
-    return query[winner], keypoint[winner], distance[winner]
+    query = np.flatnonzero(wanted >= 0)
+    order = query[np.lexsort((query, distance[query], wanted[query]))]
+    return np.sort(order[np.diff(wanted[order], prepend=-1) != 0])
+
+
+def match_boxes(
+    uv: Float,
+    radius: Float,
+    octave: Float,
+    disparity: Float,
+    descriptor: Descriptors,
+    features: Features,
+    feature_disparity: Float,
+    max_distance: int,
+    ratio: float,
+) -> tuple[Ints, Ints]:
+    """(query, keypoint) indices: the nearest keypoint of each query by Hamming distance, one-to-one.
+
+    Queries have a place ``uv`` (Q, 2) in pixels, an expected ``octave`` (Q,) and ``disparity`` (Q,), NaN = unknown, and
+    a ``descriptor`` (Q, 4). Candidates are the keypoints of ``features`` within ``radius`` (Q,) pixels in x and y whose
+    octave is within 1.5 and whose disparity, where known, is within the radius too. A query whose best distance is
+    above ``max_distance``, or not below ``ratio`` times its second best (Lowe's test; 1.0 = off), gets nothing.
+    """
+    keypoint, distance = _native.match_boxes(
+        uv,
+        radius,
+        octave,
+        disparity,
+        descriptor,
+        features.xy,
+        features.octave,
+        feature_disparity,
+        features.descriptors,
+        max_distance,
+        ratio,
+        _OCTAVE_TOLERANCE,
+    )
+    query = one_to_one(keypoint, distance)
+    return query, keypoint[query].astype(np.int64)

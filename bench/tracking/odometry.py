@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
+from bench.errors import BenchError
 from bench.geometry import se3
 from bench.tracking import local_ba
 from bench.tracking.features import Grey, Ints, OrbExtractor
-from bench.tracking.local_map import NO_POINT, LocalMap, View
-from bench.tracking.matching import KeypointIndex, choose_one_to_one, hamming
-from bench.tracking.pose_optimization import PoseEstimate, optimise_pose
-from bench.tracking.relocalise import match_descriptors, pose_by_pnp
+from bench.tracking.local_map import NO_POINT, KeyframeRecord, LocalMap, View
+from bench.tracking.localisation import Localiser, Matches
+from bench.tracking.pair_check import PairCheck
 from bench.tracking.stereo_match import match_stereo
 from bench.types import Float, StereoCamera, TrackingState
 
-_WIDE_RADIUS, _NARROW_RADIUS = 12.0, 4.0
-"""Search radii in pixels of the octave: around the predicted pose, and around the pose optimised once."""
-_MAX_HAMMING = 80
-_RATIO, _FALLBACK_RATIO = 0.85, 0.9
+Relocaliser = Callable[[View], tuple[int, Float] | None]
+"""Recognises a place: (index of a keyframe, T_keyframe_cam (4, 4)), verified, or None."""
 
 
 @dataclass(frozen=True)
@@ -57,36 +56,30 @@ class FramePose:
     landmarks: Ints
 
 
-@dataclass
-class _Matches:
-    """Pairs of map rows and keypoints with the pose that they gave."""
-
-    rows: Ints
-    keypoints: Ints
-    estimate: PoseEstimate
-
-    @property
-    def count(self) -> int:
-        return int(self.estimate.inliers.sum())
-
-
 class StereoOdometry:
     """Poses of a moving stereo pair, after ORB-SLAM2 (Mur-Artal and Tardos, 2017) without loop closing.
 
-    The world is the first frame's camera. Deterministic: the same images give the same bits.
+    The world is the first frame's camera. Deterministic: the same images give the same bits. ``relocaliser`` is asked
+    whenever a frame can't be located in the local map; where it knows the place, a new local map begins there.
     """
 
-    def __init__(self, camera: StereoCamera, settings: OdometrySettings) -> None:
+    def __init__(
+        self, camera: StereoCamera, settings: OdometrySettings, relocaliser: Relocaliser | None = None
+    ) -> None:
         self._camera = camera
         self._set = settings
-        self._extractors = tuple(
-            OrbExtractor(settings.features, settings.octaves, settings.scale_factor, settings.fast_threshold)
-            for _ in range(2)
+        self._relocaliser = relocaliser
+        self._new_keyframe: KeyframeRecord | None = None
+        self._extractor = OrbExtractor(
+            settings.features, settings.octaves, settings.scale_factor, settings.fast_threshold
         )
         self._threads = ThreadPoolExecutor(2, thread_name_prefix="orb")
         self._map = LocalMap(camera, settings.free_keyframes, settings.fixed_keyframes, settings.scale_factor)
+        self._localiser = Localiser(camera, self._map, settings.octaves, settings.scale_factor, settings.min_inliers)
+        self._pair_check = PairCheck()
         self._T_world_cam = np.eye(4)
         self._velocity = np.zeros(6)
+        self._velocity_known = False
         self._timestamp: float | None = None
         self._failures = 0
         self._reference_inliers = 0
@@ -95,25 +88,53 @@ class StereoOdometry:
         """Pose (4, 4) T_world_cam of a keyframe of the odometry, as known now."""
         return self._map.poses[index]
 
+    def keyframe_poses(self) -> Float:
+        """Poses (K, 4, 4) T_world_cam of all keyframes that the odometry ever had, as known now."""
+        return np.array(self._map.poses, dtype=np.float64).reshape(-1, 4, 4)
+
+    @property
+    def new_keyframe(self) -> KeyframeRecord | None:
+        """The keyframe that the last call of ``track`` added, or None."""
+        return self._new_keyframe
+
+    def correct(self, poses: Float) -> None:
+        """Take over corrected poses (K, 4, 4) T_world_cam of all keyframes, in the order of ``keyframe_poses``.
+
+        Map points and the current pose move along, so that tracking goes on without a break. Raises ``BenchError`` for
+        a wrong number of poses or one that is not finite.
+        """
+        before = self.keyframe_poses()
+        if poses.shape != before.shape or not np.isfinite(poses).all():
+            raise BenchError(
+                f"Corrected keyframe poses have shape {poses.shape}; expected {before.shape}, all finite. "
+                "Correct all poses of keyframe_poses()."
+            )
+        if len(before) == 0:
+            return
+        self._T_world_cam = poses[-1] @ se3.inverse(before[-1]) @ self._T_world_cam
+        self._map.correct(poses)
+
     def track(self, left: Grey, right: Grey, timestamp: float) -> FramePose:
         """Pose of the next frame; grey images (H, W) uint8, timestamp in seconds."""
+        self._new_keyframe = None
         view = self._observe(left, right)
         elapsed = 0.0 if self._timestamp is None else max(timestamp - self._timestamp, 0.0)
         predicted = self._T_world_cam @ se3.exp(self._velocity * elapsed)
-        if not self._map.keyframes:
+        if not self._map.poses:
             result = self._begin(view, predicted)
         else:
-            matches = self._locate(view, se3.inverse(predicted))
-            result = self._bridge(view, predicted) if matches is None else self._advance(view, matches)
+            matches = self._locate(view, predicted)
+            result = self._recover(view, predicted) if matches is None else self._advance(view, matches)
         self._remember(result, predicted, elapsed)
         self._timestamp = timestamp
         return result
 
     def _observe(self, left: Grey, right: Grey) -> View:
-        other = self._threads.submit(self._extractors[1].extract, right)
-        features, pyramid = self._extractors[0].extract(left)
+        other = self._threads.submit(self._extractor.extract, right)
+        features, pyramid = self._extractor.extract(left)
         right_features, right_pyramid = other.result()
         disparity = match_stereo(features, right_features, pyramid, right_pyramid, self._camera)
+        self._pair_check.look(features, right_features, disparity)
         weight = np.asarray(self._set.scale_factor ** (-2.0 * features.octave), dtype=np.float64)
         return View(features, disparity, weight, self._camera.fx / self._set.stereo_depth_baselines)
 
@@ -128,50 +149,13 @@ class StereoOdometry:
         self._reference_inliers = int((record.point_ids >= 0).sum())
         return self._result("ok" if first else "weak", predicted, record.point_ids[record.point_ids >= 0])
 
-    def _locate(self, view: View, T_cam_world: Float) -> _Matches | None:
-        """Pose from the map: around the prediction, else from descriptors alone; None without enough inliers."""
-        index = KeypointIndex(view.features.xy)
-        for start in (lambda: T_cam_world, lambda: self._pose_from_descriptors(view)):
-            pose = start()
-            if pose is None:
-                continue
-            for radius in (_WIDE_RADIUS, _NARROW_RADIUS):
-                matches = self._match_map(view, index, pose, radius)
-                if matches.count < self._set.min_inliers:
-                    break
-                pose = matches.estimate.T_cam_world
-            else:
-                return matches
-        return None
+    def _locate(self, view: View, predicted: Float) -> Matches | None:
+        if not self._map.keyframes:
+            return None
+        trusted = self._velocity_known and self._failures == 0
+        return self._localiser.locate(view, se3.inverse(predicted), trusted)
 
-    def _match_map(self, view: View, index: KeypointIndex, T: Float, radius: float) -> _Matches:
-        camera, points, features = self._camera, self._map.points, view.features
-        in_camera = points.position @ T[:3, :3].T + T[:3, 3]
-        z = np.maximum(in_camera[:, 2], 1e-6)
-        u = camera.fx * in_camera[:, 0] / z + camera.cx
-        v = camera.fy * in_camera[:, 1] / z + camera.cy
-        in_view = (in_camera[:, 2] > 0.1) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        rows = np.flatnonzero(in_view)
-        distance = np.linalg.norm(in_camera[rows], axis=1)
-        octave = np.log(points.reach[rows] / distance) / np.log(self._set.scale_factor)
-        reach = radius * self._set.scale_factor ** np.clip(octave, 0, self._set.octaves - 1)
-        u, v, z = u[rows], v[rows], z[rows]
-        query, keypoint = index.pairs(u - reach, u + reach, v - reach, v + reach)
-        likely = np.abs(features.octave[keypoint] - octave[query]) <= 1.5
-        likely &= ~(np.abs(view.disparity[keypoint] - camera.fx * camera.baseline / z[query]) > reach[query])
-        query, keypoint = query[likely], keypoint[likely]
-        bits = hamming(points.descriptor[rows[query]], features.descriptors[keypoint])
-        query, keypoint, _ = choose_one_to_one(query, keypoint, bits, _MAX_HAMMING, _RATIO)
-        matched = rows[query]
-        estimate = optimise_pose(camera, points.position[matched], view.observations(keypoint), T)
-        return _Matches(matched, keypoint, estimate)
-
-    def _pose_from_descriptors(self, view: View) -> Float | None:
-        row, keypoint = match_descriptors(self._map.points.descriptor, view.features.descriptors, _FALLBACK_RATIO)
-        uv, position = view.features.xy[keypoint], self._map.points.position[row]
-        return pose_by_pnp(self._camera, position, uv)
-
-    def _advance(self, view: View, matches: _Matches) -> FramePose:
+    def _advance(self, view: View, matches: Matches) -> FramePose:
         inliers = matches.estimate.inliers
         point_ids = np.full(len(view.features), NO_POINT)
         rows, keypoints = matches.rows[inliers], matches.keypoints[inliers]
@@ -198,12 +182,24 @@ class StereoOdometry:
 
     def _add_keyframe(self, view: View, T_cam_world: Float, point_ids: Ints) -> None:
         self._map.add_keyframe(view, T_cam_world, point_ids, self._set.max_depth_baselines * self._camera.baseline)
+        self._new_keyframe = self._map.keyframes[-1]
 
     def _adjust(self) -> None:
         problem, rows, sources = self._map.problem()
         solution = local_ba.solve(self._camera, problem)
         self._map.accept(problem, solution, rows, sources)
         self._map.cull()
+
+    def _recover(self, view: View, predicted: Float) -> FramePose:
+        """The local map doesn't know this frame: recognise the place, else bridge."""
+        place = self._relocaliser(view) if self._relocaliser is not None else None
+        if place is None or np.isfinite(view.disparity).sum() < self._set.min_new_map_points:
+            return self._bridge(view, predicted)
+        keyframe, T_keyframe_cam = place
+        self._map.restart()
+        result = self._begin(view, self._map.poses[keyframe] @ T_keyframe_cam)
+        self._failures = -1  # The new map gets as many attempts as the old one had.
+        return result
 
     def _bridge(self, view: View, predicted: Float) -> FramePose:
         """Nothing matches: go on at constant velocity for a few frames, then begin a new map where we should be."""
@@ -212,7 +208,7 @@ class StereoOdometry:
         self._map.restart()
         result = self._begin(view, predicted)
         if result.T_world_cam is not None:
-            self._failures = -1  # The new map gets as many attempts as the old one had.
+            self._failures = -1
         return result
 
     def _result(
@@ -235,7 +231,8 @@ class StereoOdometry:
             assert result.T_world_cam is not None
             if elapsed > 0 and self._failures == 0:
                 self._velocity = se3.log(se3.inverse(self._T_world_cam) @ result.T_world_cam) / elapsed
+                self._velocity_known = True
             self._T_world_cam, self._failures = result.T_world_cam, 0
         else:
-            self._T_world_cam = predicted
+            self._T_world_cam = predicted if result.T_world_cam is None else result.T_world_cam
             self._failures += 1

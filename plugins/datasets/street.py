@@ -11,26 +11,44 @@ from bench.errors import BenchError
 from bench.registry import PluginConfig, register
 from bench.street.casting import cast, pinhole_rays
 from bench.street.lidar import lidar_depth, lidar_points
-from bench.street.scene import LANE_CENTER_M, build_street
+from bench.street.scene import CHUNK_M, LANE_CENTER_M, build_circuit, build_street
+from bench.street.scene import Street as StreetScene
 from bench.street.shading import Scene, render
-from bench.types import Float, Image, Map, Mask, StereoCamera, StereoFrame, Trajectory
+from bench.street.surfaces import Surfaces
+from bench.street.truck import rear_ahead_m, truck_surfaces
+from bench.types import Float, Map, Mask, StereoCamera, StereoFrame, Trajectory
 
 BASELINE_M = 0.54
 CAMERA_HEIGHT_M = 1.65
 _FOCAL_PER_WIDTH = 0.57
 _RATE_HZ = 10.0
 _SIZES = ((64, 4096), (32, 4096))
+_CIRCUITS_M = (240, 6000)
+# On a circuit the car keeps its lane only so well: amplitude and wave length in metres. No two laps are quite the same.
+_WANDER_M = 0.2
+_WANDER_WAVE_M = 97.0
+# Farther ahead or behind, the lorry is left out.
+_TRUCK_SEEN_M = 200.0
 
 
 @dataclass(frozen=True)
 class StreetConfig(PluginConfig):
-    """Number of frames, image size in pixels, seed of the street, metres driven a frame."""
+    """Number of frames, image size in pixels, seed of the street, metres driven a frame; and what makes it harder."""
 
     frames: int = 20
     width: int = 640
     height: int = 192
     seed: int = 0
     speed_m: float = 1.0
+    circuit_m: int = 0
+    """Length in metres of a closed circuit, driven round and round, a multiple of 30; 0 is an open street."""
+    repeated_facades: bool = False
+    """Houses and gardens repeat every 30 m to the last pixel; only cars, trees, signs, hills and the ground tell places
+    apart."""
+    truck: bool = False
+    """A lorry overtakes and covers about half of the image."""
+    truck_frames: tuple[int, int] = (20, 50)
+    """First and last frame in which the lorry stays alongside."""
 
 
 @register("dataset", "street", config=StreetConfig)
@@ -50,7 +68,9 @@ class Street(Dataset):
             raise BenchError(f"dataset.speed_m={config.speed_m} is out of range; choose 0 to 20 metres a frame.")
         if config.seed < 0:
             raise BenchError(f"dataset.seed={config.seed} is negative; choose 0 or more.")
-        self.label = f"street/{config.seed}"
+        _check_options(config)
+        options = (("circuit", config.circuit_m > 0), ("repeated", config.repeated_facades), ("truck", config.truck))
+        self.label = "-".join([f"street/{config.seed}", *(name for name, used in options if used)])
         self.numbers = tuple(range(config.frames))
         focal = _FOCAL_PER_WIDTH * config.width
         self.camera = StereoCamera(
@@ -62,13 +82,18 @@ class Street(Dataset):
             cy=config.height / 2 - 0.5,
             right_position=(BASELINE_M, 0.0, 0.0),
         )
-        self._speed = config.speed_m
-        self._street = build_street(config.seed, config.frames * config.speed_m)
+        self._config = config
+        self._street: StreetScene = (
+            build_circuit(config.seed, config.circuit_m, config.repeated_facades)
+            if config.circuit_m
+            else build_street(config.seed, config.frames * config.speed_m, config.repeated_facades)
+        )
 
     def frame(self, position: int) -> StereoFrame:
         """Render one pair."""
         T = self._pose(position)
-        left, right = self._render(position, T), self._render(position, T @ self.camera.T_left_right)
+        scene = Scene(self._surfaces(position), self._street.path, self._arc_length(position))
+        left, right = (render(self.camera, pose, scene) for pose in (T, T @ self.camera.T_left_right))
         return StereoFrame(self.numbers[position], position / _RATE_HZ, left, right)
 
     def ground_truth(self) -> Trajectory:
@@ -79,8 +104,7 @@ class Street(Dataset):
 
     def true_depth(self, position: int) -> Map:
         """Exact depth at pixel centres, NaN in the sky."""
-        surfaces = self._street.seen_from(self._arc_length(position))
-        inverse = cast(pinhole_rays(self.camera, self._pose(position)), surfaces).inverse_range
+        inverse = cast(pinhole_rays(self.camera, self._pose(position)), self._surfaces(position)).inverse_range
         with np.errstate(divide="ignore"):
             return np.where(inverse > 0, np.float32(1.0) / inverse, np.float32(np.nan))
 
@@ -90,17 +114,26 @@ class Street(Dataset):
 
     def lidar_depth(self, position: int) -> Map:
         """Depth at the pixels that see a return of the simulated LiDAR."""
-        surfaces = self._street.seen_from(self._arc_length(position))
-        points = lidar_points(self.camera, self._pose(position), surfaces)
+        points = lidar_points(self.camera, self._pose(position), self._surfaces(position))
         return lidar_depth(self.camera, points, self.true_depth(position))
 
     def _arc_length(self, position: int) -> float:
-        return position * self._speed
+        return position * self._config.speed_m
+
+    def _surfaces(self, position: int) -> Surfaces:
+        """What a camera at this frame may see, the lorry included."""
+        s = self._arc_length(position)
+        ahead = rear_ahead_m(position, self._config.truck_frames)
+        if not self._config.truck or not -_TRUCK_SEEN_M < ahead < _TRUCK_SEEN_M:
+            return self._street.seen_from(s)
+        return self._street.seen_from(s, truck_surfaces(self._street.path, s + ahead, self._config.seed))
 
     def _pose(self, position: int) -> Float:
         """T_street_cam: in its lane, along the street, with a little pitch, roll and heave as of a car."""
         s = self._arc_length(position)
-        x, z, heading = self._street.path.beside(s, LANE_CENTER_M)
+        wander, drift = self._wander(s)
+        x, z, heading = self._street.path.beside(s, LANE_CENTER_M + wander)
+        heading += drift
         pitch, roll = 0.004 * np.sin(0.9 * s), 0.003 * np.sin(0.63 * s + 1.0)
         heave = 0.012 * np.sin(0.75 * s + 0.4)
         T = np.eye(4)
@@ -108,9 +141,28 @@ class Street(Dataset):
         T[:3, 3] = (x, -CAMERA_HEIGHT_M + heave, z)
         return T
 
-    def _render(self, position: int, T_street_cam: Float) -> Image:
-        s = self._arc_length(position)
-        return render(self.camera, T_street_cam, Scene(self._street.seen_from(s), self._street.path, s))
+    def _wander(self, s: float) -> tuple[float, float]:
+        """Metres to the right of the lane's middle, and how that turns the car, in radians; zero on an open street."""
+        if not self._config.circuit_m:
+            return 0.0, 0.0
+        phase, wave = 2 * np.pi / _WANDER_WAVE_M * s, 2 * np.pi / _WANDER_WAVE_M
+        return _WANDER_M * np.sin(phase), np.arctan(_WANDER_M * wave * np.cos(phase))
+
+
+def _check_options(config: StreetConfig) -> None:
+    low, high = _CIRCUITS_M
+    if config.circuit_m and not low <= config.circuit_m <= high:
+        raise BenchError(f"dataset.circuit_m={config.circuit_m} is out of range; choose {low} to {high} metres, or 0.")
+    if config.circuit_m % CHUNK_M:
+        nearest = round(CHUNK_M * max(round(config.circuit_m / CHUNK_M), low / CHUNK_M))
+        raise BenchError(
+            f"dataset.circuit_m={config.circuit_m} is no multiple of {CHUNK_M:.0f} metres, the length of the street's "
+            f"building blocks; choose {nearest}, for example."
+        )
+    if not 0 <= config.truck_frames[0] <= config.truck_frames[1]:
+        raise BenchError(
+            f"dataset.truck_frames={list(config.truck_frames)} must be [first, last] with 0 <= first <= last."
+        )
 
 
 def _rotation(axis: int, angle: float) -> Float:

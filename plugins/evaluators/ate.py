@@ -5,43 +5,41 @@ from __future__ import annotations
 from typing import Any
 
 from bench.contracts.evaluator import Evaluator
-from bench.evaluation.trajectory import absolute_trajectory_error
+from bench.evaluation.rpe import relative_pose_error
+from bench.evaluation.run_trajectory import estimate_and_truth
+from bench.evaluation.trajectory import absolute_trajectory_error, static_camera_metrics
 from bench.registry import PluginConfig, register
 from bench.report.trajectory_plot import write_trajectory_plot
-from bench.runs.folder import PLOT_FILE, TRAJECTORY_FILE
+from bench.runs.folder import PLOT_FILE
 from bench.runs.saved import SavedRun
 
 
 @register("evaluator", "ate")
 class AteEvaluator(Evaluator):
-    """Absolute trajectory error of all tracked frames after SE(3) alignment, metres."""
+    """Absolute trajectory error of all tracked frames after the protocol's alignment, metres."""
 
     def __init__(self, config: PluginConfig) -> None:
         self.config = config
 
     def evaluate(self, run: SavedRun) -> dict[str, Any]:
-        """``trajectory.ate_rmse_m`` and mean, median, max, number of frames; None and a note without ground truth."""
-        if run.status.state != "done" and not (run.path / TRAJECTORY_FILE).is_file():
-            return _not_computed("the run stopped before it saved its trajectory")
-        if run.ground_truth is None:
-            return _not_computed("the data set gives no ground-truth poses")
-        result = absolute_trajectory_error(run.trajectory, run.ground_truth, run.protocol.alignment)
+        """``trajectory.ate_rmse_m`` and mean, median, max, number of frames; None and a note without ground truth.
+
+        Beside it ``static_camera_ate_rmse_m``, what a camera that never moves would get.
+        """
+        found = estimate_and_truth(run)
+        if isinstance(found, str):
+            return _not_computed(found, run)
+        estimate, truth = found
+        result = absolute_trajectory_error(estimate, truth, run.protocol.alignment)
         if isinstance(result, str):
-            return _not_computed(result)
-        aligned = run.protocol.alignment == "se3"
-        write_trajectory_plot(run.path / PLOT_FILE, run.trajectory, run.ground_truth, result, aligned)
+            return _not_computed(result, run)
+        rpe = relative_pose_error(estimate, truth)
+        write_trajectory_plot(run.path / PLOT_FILE, result, truth, None if isinstance(rpe, str) else rpe)
         for number, error in zip(result.numbers, result.errors_m, strict=True):
             run.add_per_frame("left", int(number), ate_m=float(error))
-        return {
-            "trajectory": {
-                "ate_rmse_m": result.rmse_m,
-                "ate_mean_m": result.mean_m,
-                "ate_median_m": result.median_m,
-                "ate_max_m": result.max_m,
-                "n": result.n,
-            }
-        }
+        return {"trajectory": result.metrics() | static_camera_metrics(truth, result.numbers)}
 
 
-def _not_computed(reason: str) -> dict[str, Any]:
-    return {"trajectory": {"ate_rmse_m": None}, "notes": {"ate": reason}}
+def _not_computed(reason: str, run: SavedRun) -> dict[str, Any]:
+    static = {} if run.ground_truth is None else static_camera_metrics(run.ground_truth, None)
+    return {"trajectory": {"ate_rmse_m": None} | static, "notes": {"ate": reason}}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, field, fields
+from pathlib import Path
 
 import numpy as np
 
@@ -11,8 +13,13 @@ from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
 from bench.registry import PluginConfig, register
 from bench.tracking.features import grey
+from bench.tracking.loops import vocabulary
+from bench.tracking.loops.closer import Closure, LoopCloser, LoopSettings
+from bench.tracking.loops.pose_graph import import_gtsam
 from bench.tracking.odometry import FramePose, OdometrySettings, StereoOdometry
 from bench.types import Float, StereoFrame, TrackingResult, Trajectory
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -23,7 +30,7 @@ class StereoOrbConfig(PluginConfig):
     """ORB keypoints an image, after bucketing."""
     octaves: int = 8
     scale_factor: float = 1.2
-    fast_threshold: int = 10
+    fast_threshold: int = 7
     """Least FAST contrast, grey values 0-255; lower finds corners in dim places, higher is faster."""
     max_depth_baselines: float = 100.0
     """Map points come from stereo up to this depth, in baselines (100 x 0.54 m = 54 m on KITTI)."""
@@ -46,22 +53,41 @@ class StereoOrbConfig(PluginConfig):
     """... or this rotation ..."""
     keyframe_inlier_ratio: float = 0.75
     """... or when its inliers fall below this share of the points that the last keyframe saw."""
+    loop_closure: bool = True
+    """Whether places that are seen again correct the trajectory; false is the ablation "no loop closure". A lost camera
+    recognises places either way."""
+    vocabulary: str = field(default="", metadata={"path": True})
+    """A file of `bgs-bench vocabulary`; empty = train one on the first places of each run."""
+    loops: LoopSettings = field(default_factory=LoopSettings)
 
 
 @register("tracker", "stereo_orb", config=StereoOrbConfig)
 class StereoOrb(Tracker):
-    """Stereo ORB odometry with local map and local bundle adjustment, no loop closing; world = first camera."""
+    """Stereo ORB odometry with local map, local bundle adjustment and loop closing; world = first camera."""
 
     def __init__(self, config: StereoOrbConfig) -> None:
         _check(config)
-        settings = {key: value for key, value in vars(config).items() if key != "name"}
-        self._settings = OdometrySettings(**settings)
+        if config.loop_closure:
+            import_gtsam()
+        self._config = config
+        self._settings = OdometrySettings(**{f.name: getattr(config, f.name) for f in fields(OdometrySettings)})
+        self._vocabulary = vocabulary.load(Path(config.vocabulary)) if config.vocabulary else None
         self._odometry: StereoOdometry | None = None
+        self._closer: LoopCloser | None = None
+        self._keyframe_numbers: list[int] = []
         self._frames: list[tuple[int, float, FramePose]] = []
 
     def start(self, dataset: Dataset) -> None:
         """Begin a new sequence with its camera."""
-        self._odometry = StereoOdometry(dataset.camera, self._settings)
+        self._closer = LoopCloser(
+            dataset.camera,
+            self._config.loops,
+            dataset.camera.fx / self._settings.max_depth_baselines,
+            self._vocabulary,
+            self._config.loop_closure,
+        )
+        self._odometry = StereoOdometry(dataset.camera, self._settings, self._closer.relocalise)
+        self._keyframe_numbers = []
         self._frames = []
 
     def track(self, frame: StereoFrame) -> TrackingResult:
@@ -69,7 +95,33 @@ class StereoOrb(Tracker):
         assert self._odometry is not None, "start() comes before track()"
         found = self._odometry.track(grey(frame.left), grey(frame.right), frame.timestamp)
         self._frames.append((frame.number, frame.timestamp, found))
-        return TrackingResult(found.T_world_cam, found.state, found.inliers, found.rms_px, found.landmarks)
+        pose = found.T_world_cam
+        if self._closed_a_loop(frame.number) and pose is not None:
+            pose = self._corrected(found)
+        return TrackingResult(pose, found.state, found.inliers, found.rms_px, found.landmarks)
+
+    def _closed_a_loop(self, number: int) -> bool:
+        """Show the frame's keyframe, if it is one, to the loop closer; True if all poses were corrected."""
+        assert self._odometry is not None
+        assert self._closer is not None
+        keyframe = self._odometry.new_keyframe
+        if keyframe is None:
+            return False
+        self._keyframe_numbers.append(number)
+        closure = self._closer.add(keyframe, self._odometry.keyframe_poses())
+        if closure is None:
+            return False
+        self._odometry.correct(closure.poses)
+        log.info("%s", self._told(closure))
+        return True
+
+    def _told(self, closure: Closure) -> str:
+        old, new = self._keyframe_numbers[closure.old], self._keyframe_numbers[closure.new]
+        return (
+            f"loop closed: frame {new} sees the place of frame {old} ({closure.inliers} inliers; {closure.loops} of "
+            f"{closure.known} loops believed); {closure.moved} of {len(closure.poses)} tracker keyframes moved, the "
+            f"farthest by {closure.farthest_m:.2f} m"
+        )
 
     def trajectory(self) -> Trajectory:
         """Poses that follow all later corrections of the keyframes they hang on."""
@@ -101,8 +153,11 @@ def _check(config: StereoOrbConfig) -> None:
     for key, value in least.items():
         if getattr(config, key) < value:
             raise BenchError(f"tracker.{key}={getattr(config, key)} is too small; the least is {value}.")
-    if not config.scale_factor > 1:
-        raise BenchError(f"tracker.scale_factor={config.scale_factor} must be above 1; 1.2 is usual.")
+    if not 1 < config.scale_factor <= 2:
+        raise BenchError(f"tracker.scale_factor={config.scale_factor} must be above 1 and at most 2; 1.2 is usual.")
+    if config.fast_threshold > 254:
+        raise BenchError(f"tracker.fast_threshold={config.fast_threshold} must be below 255; 7 is usual.")
     for key in ("max_depth_baselines", "stereo_depth_baselines"):
         if not getattr(config, key) > 0:
             raise BenchError(f"tracker.{key}={getattr(config, key)} must be above 0.")
+    config.loops.check("tracker.loops")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,9 +11,15 @@ import numpy as np
 from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError, require_choice
+from bench.geometry.axis_conventions import suspected_convention
 from bench.geometry.trajectory_io import read_kitti_poses, read_tum
 from bench.registry import PluginConfig, register
 from bench.types import Float, StereoFrame, TrackingResult, Trajectory
+
+log = logging.getLogger(__name__)
+
+_FEW = 0.5
+"""With poses for less than this share of the frames, a file probably holds keyframes only."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +28,8 @@ class TrajectoryFileConfig(PluginConfig):
 
     path: str = field(default="", metadata={"path": True})
     format: str = "auto"
+    match: str = "auto"
+    """Which pose is whose: "index" (by the order of the lines), "time" (TUM only) or "auto" (TUM by time)."""
     max_time_difference_s: float = 0.01
     """How far a TUM pose may be from its frame in time."""
 
@@ -29,12 +38,14 @@ class TrajectoryFileConfig(PluginConfig):
 class TrajectoryFile(Tracker):
     """Poses from a file in KITTI or TUM format.
 
-    KITTI: line k is frame number k, so the file of a whole sequence serves any part of it; a file with exactly as many
-    lines as the data set has frames is taken by position. TUM: the pose nearest in time; frames without one are lost.
+    By index, line k is frame number k, so the file of a whole sequence serves any part of it; a file with exactly as
+    many lines as the data set has frames is taken by position. By time, it is the nearest pose; frames without one are
+    lost.
     """
 
     def __init__(self, config: TrajectoryFileConfig) -> None:
         require_choice("tracker.format", config.format, ("auto", "kitti", "tum"))
+        require_choice("tracker.match", config.match, ("auto", "index", "time"))
         if not config.path:
             raise BenchError("tracker=trajectory_file needs tracker.path=FILE, a trajectory in KITTI or TUM format.")
         if not config.max_time_difference_s > 0:
@@ -45,26 +56,33 @@ class TrajectoryFile(Tracker):
         self._by_time: Trajectory | None = None
         self._frames: list[tuple[int, float, Float]] = []
         self._seen = self._expected = 0
+        self._in_gap = False
 
     def start(self, dataset: Dataset) -> None:
-        """Read the file and check that it covers the data set; raises ``BenchError`` if it does not."""
+        """Read the file and check that it covers the data set; raises ``BenchError`` if it does not.
+
+        A trajectory that seems to be in another convention is warned of, not refused: nobody can be sure of it.
+        """
         self._by_number, self._by_time, self._frames = {}, None, []
-        self._seen, self._expected = 0, len(dataset)
+        self._seen, self._expected, self._in_gap = 0, len(dataset), False
         if self._format() == "tum":
-            self._by_time = read_tum(self._path)
-            # The contract has no list of times; the two ends are enough to catch a file of another clock at once.
-            self._check_span(dataset.frame(0).timestamp, dataset.frame(len(dataset) - 1).timestamp)
-            return
-        poses = read_kitti_poses(self._path)
-        if len(poses) == len(dataset):
-            self._by_number = dict(zip(dataset.numbers, poses, strict=True))
-        elif dataset.numbers[-1] < len(poses):
-            self._by_number = {number: poses[number] for number in dataset.numbers}
+            trajectory = read_tum(self._path)
+            poses = trajectory.T_world_cam
+            if self._config.match != "index":
+                self._by_time = trajectory
+                # The contract has no list of times; the two ends are enough to catch a file of another clock at once.
+                self._check_times(dataset.frame(0).timestamp, dataset.frame(len(dataset) - 1).timestamp)
         else:
-            raise BenchError(
-                f"{self._path} has {len(poses)} poses, but {dataset.label} has {len(dataset)} frames numbered up to "
-                f"{dataset.numbers[-1]}. It needs one line a frame, or one for every number from 0."
-            )
+            if self._config.match == "time":
+                raise BenchError(
+                    f"tracker.match=time: {self._path} is in KITTI's format, which has no times. Use index."
+                )
+            poses = read_kitti_poses(self._path)
+        if self._by_time is None:
+            self._by_number = self._indexed(poses, dataset)
+        suspicion = suspected_convention(poses)
+        if suspicion is not None:
+            log.warning("tracker.path=%s: %s. Convert the file if that is so.", self._path, suspicion)
 
     def track(self, frame: StereoFrame) -> TrackingResult:
         """The pose that belongs to the frame, or "lost"."""
@@ -73,7 +91,11 @@ class TrajectoryFile(Tracker):
         if T is None:
             if self._seen == self._expected and not self._frames:
                 raise BenchError(self._no_match("no pose is near any frame in time"))
+            if not self._in_gap:
+                log.warning("frame %d: %s", frame.number, self._gap_at(frame.timestamp))
+            self._in_gap = True
             return TrackingResult(None, "lost")
+        self._in_gap = False
         self._frames.append((frame.number, frame.timestamp, T))
         return TrackingResult(T, "ok")
 
@@ -102,13 +124,50 @@ class TrajectoryFile(Tracker):
             )
         return formats[count]
 
-    def _check_span(self, first: float, last: float) -> None:
+    def _indexed(self, poses: Float, dataset: Dataset) -> dict[int, Float]:
+        if len(poses) == len(dataset):
+            return dict(zip(dataset.numbers, poses, strict=True))
+        if dataset.numbers[-1] < len(poses):
+            return {number: poses[number] for number in dataset.numbers}
+        raise BenchError(
+            f"{self._path} has {len(poses)} poses, but {dataset.label} has {len(dataset)} frames numbered up to "
+            f"{dataset.numbers[-1]}. It needs one line a frame, or one for every number from 0."
+        )
+
+    def _check_times(self, first: float, last: float) -> None:
+        """Raise ``BenchError`` for times of another clock or frame numbers in their place; warn of too few."""
         assert self._by_time is not None
-        begin, end, slack = *self._by_time.timestamps[[0, -1]], self._config.max_time_difference_s
+        times, slack = self._by_time.timestamps, self._config.max_time_difference_s
+        begin, end = times[[0, -1]]
         if begin > last + slack or end < first - slack:
             raise BenchError(
                 self._no_match(f"its times {begin:.3f} to {end:.3f} s miss the frames' {first:.3f} to {last:.3f} s")
             )
+        counts = np.array_equal(times, np.round(times)) and (np.diff(times) == 1).all()
+        if counts and end > last + 1 and last - first < self._expected - 1:
+            raise BenchError(
+                f"{self._path}: its times {begin:.0f}, {begin + 1:.0f}, ... are frame numbers, not seconds. Use "
+                "tracker.match=index, or write times."
+            )
+        within = int(((times > first - slack) & (times < last + slack)).sum())
+        if within < _FEW * self._expected:
+            log.warning(
+                "tracker.path=%s has %d poses for %d frames, so most frames are lost; a file of keyframes only?",
+                *(self._path, within, self._expected),
+            )
+
+    def _gap_at(self, timestamp: float) -> str:
+        """What to say of a frame that has no pose: between which poses it lies."""
+        assert self._by_time is not None
+        times = self._by_time.timestamps
+        after = int(np.searchsorted(times, timestamp))
+        if after == 0:
+            where = f"begins only at {times[0]:.3f} s"
+        elif after == len(times):
+            where = f"ends at {times[-1]:.3f} s already"
+        else:
+            where = f"has a gap from {times[after - 1]:.3f} to {times[after]:.3f} s"
+        return f"{self._path} {where}; no pose within {self._config.max_time_difference_s} s of {timestamp:.3f} s"
 
     def _no_match(self, what: str) -> str:
         return (

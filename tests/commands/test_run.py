@@ -80,7 +80,12 @@ def test_form_of_the_metrics(finished_run: Finished) -> None:
     assert metrics["trajectory"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)  # tracker=groundtruth
     stages = [f"{stage}_s_per_frame" for stage in ("tracking", "stereo", "mapping")]
     assert {"peak_memory_gb", *stages} <= set(metrics["resources"])
-    assert metrics["frames"] == {"total": 4, "tracked": 4, "lost": 0, "mapped": metrics["views"]["train"]["n"]}
+    assert metrics["trajectory"]["rpe_pairs"] == 3
+    assert metrics["trajectory"]["static_camera_ate_rmse_m"] > 0.1
+    assert metrics["frames"] == {
+        **{"total": 4, "tracked": 4, "ok": 4, "weak": 0, "lost": 0, "lost_stretches": []},
+        "mapped": metrics["views"]["train"]["n"],
+    }
 
 
 def test_psnr_of_the_table_is_that_of_the_saved_pictures(finished_run: Finished) -> None:
@@ -214,7 +219,9 @@ def test_a_stopped_run_says_interrupted_and_keeps_what_was_done(
     assert len(pd.read_csv(folder / "frames.csv")) == 2
     assert main(["table", str(folder)]) == 0
     assert main(["evaluate", str(folder)]) == 0
-    assert read(folder / "metrics.json")["frames"] == {"total": 4, "tracked": 2, "lost": 0, "mapped": 2}
+    assert read(folder / "metrics.json")["frames"] == {
+        **{"total": 4, "tracked": 2, "ok": 2, "weak": 0, "lost": 0, "lost_stretches": [], "mapped": 2}
+    }
 
 
 @pytest.mark.parametrize(

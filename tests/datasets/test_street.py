@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
 
 from bench.errors import BenchError
-from bench.types import Float, Image, Map, StereoCamera
+from bench.street.casting import cast, pinhole_rays
+from bench.street.surfaces import SurfaceList, freeze
+from bench.types import Float, Image, Map, Mask, StereoCamera
 from plugins.datasets.street import Street, StreetConfig
 
 POSITION = 7
@@ -126,9 +130,122 @@ def test_number_of_threads_changes_nothing(street: Street) -> None:
         cv2.setNumThreads(threads)
 
 
+@pytest.fixture(scope="module")
+def circuit() -> Street:
+    """One lap and a bit more at 3 m a frame: frame 80 + k is where frame k is, one lap later."""
+    return Street(StreetConfig(frames=110, width=480, height=144, speed_m=3.0, circuit_m=240))
+
+
+@pytest.mark.parametrize("position", [2, 12, 27])
+def test_second_lap_shows_the_same_world(circuit: Street, position: int) -> None:
+    """Depth and exact poses take the frame one lap later to this one; the car is not at quite the same place."""
+    T, later = circuit.ground_truth().T_world_cam, position + 80
+    motion = np.linalg.inv(T[later]) @ T[position]
+    assert 0.01 < np.linalg.norm(motion[:3, 3]) < 0.6
+    image, depth = circuit.frame(position).left, circuit.true_depth(position)
+    other = circuit.frame(later).left
+    difference = photometric_difference(circuit.camera, image, depth, other, motion)
+    assert len(difference) > 0.5 * image.shape[0] * image.shape[1]
+    assert np.median(difference) < 2.5
+    assert np.quantile(difference, 0.95) < 18.0
+    astray = motion.copy()
+    astray[0, 3] += 0.3
+    assert np.median(photometric_difference(circuit.camera, image, depth, other, astray)) > 1.3 * np.median(difference)
+
+
+def test_circuit_closes_and_turns_once_around(circuit: Street) -> None:
+    T = circuit.ground_truth().T_world_cam
+    heading = np.unwrap(np.arctan2(T[:, 0, 2], T[:, 2, 2]))
+    assert abs(heading[80] - heading[0]) == pytest.approx(2 * np.pi, abs=0.05)
+    assert np.linalg.norm(T[80, :3, 3] - T[0, :3, 3]) < 0.6
+    # Two sides of the block are at least 60 m apart: houses fit back to back.
+    assert np.ptp(T[:80, 0, 3]) > 55.0
+    assert np.ptp(T[:80, 2, 3]) > 55.0
+
+
+def test_what_a_circuit_leaves_out_would_not_be_seen() -> None:
+    """The depth from the chunks that are looked at is the depth from all of them."""
+    street = Street(StreetConfig(frames=200, width=320, height=96, speed_m=4.0, circuit_m=600, seed=4))
+    for position in (0, 31, 77, 120):
+        everything = SurfaceList()
+        for chunk in street._street.chunks.values():
+            everything.extend(chunk)
+        inverse = cast(pinhole_rays(street.camera, street._pose(position)), freeze(everything)).inverse_range
+        near = inverse > 1 / 200.0
+        np.testing.assert_array_equal(street.true_depth(position)[near], np.float32(1.0) / inverse[near])
+        assert len(street._street.visible_chunks(street._arc_length(position))) < len(street._street.chunks)
+
+
+def test_repeated_facades_look_the_same_30_m_on_and_the_ground_does_not() -> None:
+    """As if the camera 30 m on were at the same place: the houses fit to the pixel, the road does not."""
+    street = Street(
+        StreetConfig(frames=60, width=480, height=144, speed_m=2.5, circuit_m=900, repeated_facades=True, seed=1)
+    )
+    position, later = 2, 14
+    T = [street._pose(k) for k in (position, later)]
+    s = [street._arc_length(k) for k in (position, later)]
+    assert s[1] - s[0] == 30.0
+    (x0, z0, heading), (x1, z1, other_heading) = (street._street.path.at(value) for value in s)
+    assert heading == other_heading == 0.0
+    on = np.eye(4)
+    on[:3, 3] = x1 - x0, 0.0, z1 - z0
+    image, depth = street.frame(position).left, street.true_depth(position)
+    points = backproject(street.camera, depth) @ T[0][:3, :3].T + T[0][:3, 3]
+    # On this side of the houses are cars, lamps and trees, and the next bend is far enough.
+    is_front = (np.abs(points[..., 0]) > 8.4) & (points[..., 2] < z0 + 32.0) & (points[..., 1] < -0.3)
+    is_road = (np.abs(points[..., 1]) < 1e-3) & (np.abs(points[..., 0]) < 3.0)
+    difference = {}
+    for name, where in (("front", is_front), ("road", is_road)):
+        kept = np.where(where, depth, np.float32(np.nan))
+        motion = np.linalg.inv(T[1]) @ on @ T[0]
+        difference[name] = photometric_difference(street.camera, image, kept, street.frame(later).left, motion)
+        assert len(difference[name]) > 2500
+    assert np.median(difference["front"]) < 3.0
+    assert np.median(difference["road"]) > 2 * np.median(difference["front"])
+
+
+def test_lorry_covers_about_half_and_moves() -> None:
+    settings = {"frames": 45, "width": 480, "height": 144}
+    empty = Street(StreetConfig(**settings))
+    street = Street(StreetConfig(**settings, truck=True, truck_frames=(22, 30)))
+
+    def covered(position: int) -> Mask:
+        with np.errstate(invalid="ignore"):
+            return ~(np.abs(street.true_depth(position) - empty.true_depth(position)) < 1e-3) & (
+                ~empty.true_sky(position) | ~street.true_sky(position)
+            )
+
+    for position in (22, 26, 30):
+        assert 0.35 < covered(position).mean() < 0.65
+    assert not covered(0).any()
+    np.testing.assert_array_equal(street.frame(0).left, empty.frame(0).left)
+    # Exact depth joins left and right as before, the lorry included.
+    frame, depth = street.frame(26), street.true_depth(26)
+    to_right = np.linalg.inv(street.camera.T_left_right)
+    assert np.median(photometric_difference(street.camera, frame.left, depth, frame.right, to_right)) < 2.5
+    # The world is static and the lorry is not: camera motion explains the one and not the other.
+    T = street.ground_truth().T_world_cam
+    motion, following = np.linalg.inv(T[27]) @ T[26], street.frame(27).left
+    lorry = covered(26)
+    for where, low, high in ((lorry, 4.0, 255.0), (~lorry, 0.0, 2.5)):
+        kept = np.where(where, depth, np.float32(np.nan))
+        assert low < np.median(photometric_difference(street.camera, frame.left, kept, following, motion)) < high
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_lorry_never_runs_over_the_camera(seed: int) -> None:
+    street = Street(
+        StreetConfig(frames=240, width=64, height=32, circuit_m=240, truck=True, truck_frames=(5, 239), seed=seed)
+    )
+    assert min(np.nanmin(street.true_depth(position)) for position in range(0, 240, 6)) > 0.3
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
+        ({"circuit_m": 200}, "dataset.circuit_m=200 is out of range; choose 240 to 6000 metres, or 0."),
+        ({"circuit_m": 400}, "dataset.circuit_m=400 is no multiple of 30 metres, .* choose 390"),
+        ({"truck_frames": (5, 2)}, r"dataset.truck_frames=\[5, 2\] must be \[first, last\]"),
         ({"frames": 0}, "dataset.frames=0"),
         ({"width": 10}, "dataset.width=10 .* 64 to 4096"),
         ({"height": 9000}, "dataset.height=9000"),
@@ -136,6 +253,6 @@ def test_number_of_threads_changes_nothing(street: Street) -> None:
         ({"seed": -3}, "dataset.seed=-3"),
     ],
 )
-def test_settings_out_of_range(settings: dict[str, int], message: str) -> None:
+def test_settings_out_of_range(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(BenchError, match=message):
         Street(StreetConfig(**settings))

@@ -11,7 +11,7 @@ from tiny_run import write_tiny_run
 
 @pytest.fixture
 def tiny_config() -> dict[str, Any]:
-    names = ("ate", "image", "depth_l1", "resources")
+    names = ("ate", "rpe", "kitti_odometry", "image", "depth_l1", "resources")
     return {
         "dataset": {"name": "tiny_for_tests"},
         "stereo": {"name": "sgbm"},

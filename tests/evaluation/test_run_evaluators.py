@@ -18,6 +18,8 @@ from bench.evaluation.run_evaluators import evaluate_run, merge
 from bench.runs.folder import RunFolder, picture_path
 from bench.runs.saved import SavedRun
 
+NONE_DONE = {"tracked": 0, "ok": 0, "weak": 0, "lost": 0, "lost_stretches": [], "mapped": 0}
+
 
 def psnr_of(*errors: int) -> float:
     return float(np.mean([20 * math.log10(255 / error) for error in errors]))
@@ -37,10 +39,40 @@ def test_metrics_are_those_that_the_run_was_made_with(tiny_run: Path) -> None:
     assert views["right"]["psnr_db"] == pytest.approx(psnr_of(RIGHT_ERROR))
     assert views["heldout"]["ssim"] < views["train"]["ssim"] < 1
     assert metrics["trajectory"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
-    assert metrics["frames"] == {"total": 5, "tracked": 4, "lost": 1, "mapped": 3}
+    assert metrics["frames"] == {
+        **{"total": 5, "tracked": 4, "ok": 4, "weak": 0, "lost": 1, "lost_stretches": [[LOST, LOST]], "mapped": 3}
+    }
     assert metrics["map"] == {"gaussians": 1234}
     assert metrics["resources"]["peak_memory_gb"] == 0.5
     assert metrics["protocol"]["holdout_every"] == 5
+
+
+def test_trajectory_metrics_know_the_lost_frame(tiny_run: Path) -> None:
+    """One metre a frame on frames 10 to 14; 12 is lost: pairs 10-11 and 13-14 are left."""
+    trajectory = evaluate_run(tiny_run)["trajectory"]
+    assert trajectory["rpe_trans_rmse_m"] == pytest.approx(0.0, abs=1e-9)
+    assert (trajectory["rpe_pairs"], trajectory["rpe_pairs_lost"], trajectory["rpe_frame_distance"]) == (2, 2, 1)
+    # Places 10 to 14 are 2 m^2 from their mean; 10, 11, 13, 14 are 2.5.
+    assert trajectory["static_camera_ate_rmse_m"] == pytest.approx(math.sqrt(2.0))
+    assert trajectory["static_camera_compared_ate_rmse_m"] == pytest.approx(math.sqrt(2.5))
+    table = pd.read_csv(tiny_run / "per_frame.csv").set_index(["view", "number"])
+    assert table.loc["left", "rpe_trans_m"].notna().to_dict() == {10: False, 11: True, 13: False, 14: True}
+
+
+def test_a_path_without_segments_says_so(tiny_run: Path) -> None:
+    metrics = evaluate_run(tiny_run)
+    assert metrics["trajectory"]["t_rel_percent"] is None
+    note = "the path of 4.0 m is not longer than the shortest segment, 10 m"
+    assert metrics["notes"]["kitti_odometry"] == note
+
+
+def test_the_distance_of_a_pair_can_be_chosen(tmp_path: Path, tiny_config: dict[str, Any]) -> None:
+    tiny_config["evaluator"]["rpe"]["frame_distance"] = 3
+    trajectory = evaluate_run(write_tiny_run(tmp_path / "run", tiny_config))["trajectory"]
+    assert (trajectory["rpe_pairs"], trajectory["rpe_pairs_lost"], trajectory["rpe_frame_distance"]) == (2, 0, 3)
+    tiny_config["evaluator"]["rpe"]["frame_distance"] = 0
+    with pytest.raises(BenchError, match=r"evaluator\.rpe\.frame_distance=0 must be 1 or more"):
+        evaluate_run(write_tiny_run(tmp_path / "other", tiny_config))
 
 
 def test_depth_is_scored_on_left_views_with_returns(tiny_run: Path) -> None:
@@ -130,7 +162,9 @@ def test_an_interrupted_run_is_scored_as_far_as_it_got(tmp_path: Path, tiny_conf
     assert "heldout" not in metrics["views"]
     assert metrics["resources"]["peak_memory_gb"] is None
     assert metrics["map"] == {"gaussians": None}
-    assert metrics["notes"]["ate"] == "the run stopped before it saved its trajectory"
+    for name in ("ate", "rpe", "kitti_odometry"):
+        assert metrics["notes"][name] == "the run stopped before it saved its trajectory"
+    assert metrics["trajectory"]["static_camera_ate_rmse_m"] == pytest.approx(math.sqrt(2.0))
 
 
 def test_a_run_that_failed_at_once_has_metrics_without_views(tmp_path: Path, tiny_config: dict[str, Any]) -> None:
@@ -139,7 +173,7 @@ def test_a_run_that_failed_at_once_has_metrics_without_views(tmp_path: Path, tin
     folder.write_frames([])
     metrics = evaluate_run(folder.path)
     assert metrics["views"] == {}
-    assert metrics["frames"] == {"total": 7, "tracked": 0, "lost": 0, "mapped": 0}
+    assert metrics["frames"] == {"total": 7, **NONE_DONE}
 
 
 def test_a_finished_run_that_lacks_a_render_is_an_error(tiny_run: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.evaluation.trajectory import absolute_trajectory_error, umeyama_se3
+from bench.evaluation.trajectory import absolute_trajectory_error, static_camera_metrics, umeyama
 from bench.types import Trajectory
 
 
@@ -72,25 +72,69 @@ def test_camera_centres_are_compared_not_columns_of_the_inverse_pose() -> None:
     result = absolute_trajectory_error(estimate, truth, "se3")
     assert not isinstance(result, str)
     assert (result.rmse_m, result.mean_m) == pytest.approx((1.0, 1.0), abs=1e-12)
+    scaled = absolute_trajectory_error(estimate, truth, "sim3")
+    assert not isinstance(scaled, str)
+    assert (scaled.rmse_m, scaled.scale) == pytest.approx((0.0, 0.5), abs=1e-12)
 
 
 def test_mirrored_points_are_not_matched_by_a_reflection() -> None:
     points = np.random.default_rng(0).normal(size=(20, 3))
-    R, _ = umeyama_se3(points * [1, 1, -1], points)
+    R, _, scale = umeyama(points * [1, 1, -1], points)
     assert np.linalg.det(R) == pytest.approx(1.0)
+    assert scale == 1.0
 
 
+def test_sim3_finds_the_scale_worked_by_hand() -> None:
+    """Of the saddle: s = 40 / 40.64, and a sum of squares of 40 - 1600 / 40.64 is left over 8 points."""
+    estimate, truth = saddle()
+    moved = estimate @ rotation_about_z(0.7).T + [5.0, -3.0, 2.0]
+    result = absolute_trajectory_error(trajectory(moved), trajectory(truth), "sim3")
+    assert not isinstance(result, str)
+    assert result.scale == pytest.approx(40 / 40.64, abs=1e-12)
+    assert result.rmse_m == pytest.approx(np.sqrt((40 - 1600 / 40.64) / 8), abs=1e-12)
+    assert result.metrics()["scale"] == result.scale
+
+
+def test_sim3_of_a_path_that_is_only_too_large_is_zero() -> None:
+    along = np.random.default_rng(3).normal(size=(30, 3))
+    result = absolute_trajectory_error(trajectory(2.5 * along), trajectory(along), "sim3")
+    assert not isinstance(result, str)
+    assert result.scale == pytest.approx(0.4)
+    assert result.rmse_m == pytest.approx(0.0, abs=1e-12)
+    aligned = absolute_trajectory_error(trajectory(2.5 * along), trajectory(along), "se3")
+    assert not isinstance(aligned, str)
+    assert aligned.scale == 1.0
+    assert "scale" not in aligned.metrics()
+    still = absolute_trajectory_error(trajectory(np.ones((30, 3))), trajectory(along), "sim3")
+    assert still == "the estimate never moves, so that no scale can be found for it"
+
+
+def test_the_aligned_poses_are_those_that_the_errors_are_of() -> None:
+    """Whole poses move, not centres alone: a rigid motion leaves the motion from pose to pose as it was."""
+    rng = np.random.default_rng(5)
+    truth, estimate = trajectory(rng.normal(size=(9, 3))), trajectory(rng.normal(size=(9, 3)))
+    estimate.T_world_cam[:, :3, :3] = rotation_about_z(0.3)
+    result = absolute_trajectory_error(estimate, truth, "se3")
+    assert not isinstance(result, str)
+    offsets = result.aligned.T_world_cam[:, :3, 3] - truth.T_world_cam[:, :3, 3]
+    assert np.allclose(np.linalg.norm(offsets, axis=1), result.errors_m)
+    for poses in (estimate.T_world_cam, result.aligned.T_world_cam):
+        steps = np.linalg.inv(poses[:-1]) @ poses[1:]
+        assert np.allclose(steps, np.linalg.inv(estimate.T_world_cam[:-1]) @ estimate.T_world_cam[1:])
+
+
+@pytest.mark.parametrize("alignment", ["se3", "sim3"])
 @pytest.mark.parametrize("seed", range(3))
-def test_agrees_with_evo_on_noisy_trajectories(seed: int) -> None:
+def test_agrees_with_evo_on_noisy_trajectories(seed: int, alignment: str) -> None:
     evo_metrics = pytest.importorskip("evo.core.metrics")
     from evo.core.trajectory import PosePath3D
 
     rng = np.random.default_rng(seed)
     truth = np.cumsum(rng.normal(size=(200, 3)), axis=0)
     noisy = (truth + rng.normal(scale=0.3, size=truth.shape)) @ rotation_about_z(1.1).T + [10.0, 20.0, -5.0]
-    mine = absolute_trajectory_error(trajectory(noisy), trajectory(truth), "se3")
+    mine = absolute_trajectory_error(trajectory(noisy), trajectory(truth), alignment)
     paths = [PosePath3D(poses_se3=list(trajectory(points).T_world_cam)) for points in (truth, noisy)]
-    paths[1].align(paths[0], correct_scale=False)
+    paths[1].align(paths[0], correct_scale=alignment == "sim3")
     ape = evo_metrics.APE(evo_metrics.PoseRelation.translation_part)
     ape.process_data(tuple(paths))
     assert not isinstance(mine, str)
@@ -121,6 +165,19 @@ def test_a_camera_that_never_moves_is_scored_too(kitti_root: Path, sequence: str
     result = absolute_trajectory_error(trajectory(np.zeros_like(truth)), trajectory(truth), "se3")
     assert not isinstance(result, str)
     assert result.rmse_m == pytest.approx(expected, abs=0.006)
+    assert static_camera_metrics(trajectory(truth), result.numbers) == {
+        "static_camera_ate_rmse_m": pytest.approx(expected, abs=0.006)
+    }
+
+
+def test_the_static_camera_over_lost_frames_is_stated_apart() -> None:
+    """Places 0, 0, 0, 4: 3 m^2 from their mean. Over the three compared ones nothing moves."""
+    truth = trajectory(np.outer([0.0, 0.0, 0.0, 4.0], [0.0, 0.6, 0.8]))
+    assert static_camera_metrics(truth, np.array([0, 1, 2])) == {
+        "static_camera_ate_rmse_m": pytest.approx(np.sqrt(3.0)),
+        "static_camera_compared_ate_rmse_m": 0.0,
+    }
+    assert static_camera_metrics(truth, None) == {"static_camera_ate_rmse_m": pytest.approx(np.sqrt(3.0))}
 
 
 def test_straight_lines_have_a_well_defined_error() -> None:

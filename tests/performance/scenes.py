@@ -27,11 +27,14 @@ def _centers(count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
     return torch.stack([(u - VIEW.cx) / VIEW.fx * z, (v - VIEW.cy) / VIEW.fy * z, z], 1), z
 
 
-def isotropic(count: int) -> Tensor:
-    """Near-isotropic Gaussians, 3 sigma about 5 px on the image (low-pass included), opacity 0.05 to 0.95."""
+def isotropic(count: int, radius_px: float = 5.0) -> Tensor:
+    """Near-isotropic Gaussians, 3 sigma about ``radius_px`` on the image (low-pass included), opacity 0.05 to 0.95.
+
+    100 k of them reach a pixel 19.6 times on average (alpha >= 1/255) with 5 px, and 12.8 times with 4.05 px.
+    """
     generator = torch.Generator().manual_seed(0)
     means, z = _centers(count, generator)
-    sigma_px = np.sqrt((5.0 / 3.0) ** 2 - 0.3)
+    sigma_px = np.sqrt((radius_px / 3.0) ** 2 - 0.3)
     scales = (z / VIEW.fx * sigma_px)[:, None] * torch.exp(0.1 * torch.randn(count, 3, generator=generator))
     opacities = 0.05 + 0.9 * torch.rand(count, generator=generator)
     quaternions = torch.randn(count, 4, generator=generator)
@@ -70,3 +73,18 @@ def report(name: str, seconds: dict[str, float], ratios: dict[str, float]) -> No
         print(f"  {key:45s} {1e3 * value:9.2f} ms")
     for key, value in ratios.items():
         print(f"  {key:45s} {value:9.2f}")
+
+
+def report_shares(name: str, seconds: dict[str, float], beside: dict[str, float]) -> None:
+    """Print what share of a frame each stage takes, and write ``results/performance/<name>.json``.
+
+    ``seconds`` a frame add up to the frame; what is ``beside`` it (the evaluation afterwards) is given as a multiple.
+    """
+    whole = sum(seconds.values())
+    shares = {stage: value / whole for stage, value in (seconds | beside).items()}
+    REPORT.mkdir(parents=True, exist_ok=True)
+    text = json.dumps({"seconds_per_frame": seconds | beside, "shares_of_a_frame": shares}, indent=2)
+    (REPORT / f"{name}.json").write_text(text + "\n")
+    print(f"\n{name}: {whole:.3f} s a frame")
+    for stage, share in sorted(shares.items(), key=lambda item: -item[1]):
+        print(f"  {stage:45s} {100 * share:6.1f} %" + ("  (after the run)" if stage in beside else ""))

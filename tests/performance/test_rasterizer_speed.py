@@ -53,13 +53,16 @@ def whole_iteration(rasterizer: CpuRasterizer, planes: Tensor) -> Callable[[], N
 def test_rasterizer_against_matrix_product() -> None:
     rasterizer = CpuRasterizer(CpuRasterizerConfig())
     small, large, long = isotropic(100_000), isotropic(1_000_000), elongated(100_000)
+    lighter = isotropic(100_000, radius_px=4.05)
     seconds = interleaved(
         {
             "torch.mm 1024^3": matrix_product(),
             "isotropic 100 k, forward": lambda: rasterizer.render(small, VIEW, differentiable=False),
             "isotropic 100 k, forward + backward": render_and_back(rasterizer, small),
+            "12.8 a pixel, 100 k, forward + backward": render_and_back(rasterizer, lighter),
             "elongated 100 k, forward + backward": render_and_back(rasterizer, long),
             "isotropic 100 k, whole iteration": whole_iteration(rasterizer, small),
+            "12.8 a pixel, 100 k, whole iteration": whole_iteration(rasterizer, lighter),
             "isotropic 1 M, whole iteration": whole_iteration(rasterizer, large),
         }
     )
@@ -67,8 +70,10 @@ def test_rasterizer_against_matrix_product() -> None:
     workspace = rasterizer.render(large, VIEW).context[0]
     ratios = {
         "forward + backward, isotropic 100 k / mm": seconds["isotropic 100 k, forward + backward"] / mm,
+        "forward + backward, 12.8 a pixel, 100 k / mm": seconds["12.8 a pixel, 100 k, forward + backward"] / mm,
         "forward + backward, elongated 100 k / mm": seconds["elongated 100 k, forward + backward"] / mm,
         "whole iteration, isotropic 100 k / mm": seconds["isotropic 100 k, whole iteration"] / mm,
+        "whole iteration, 12.8 a pixel, 100 k / mm": seconds["12.8 a pixel, 100 k, whole iteration"] / mm,
         "whole iteration, 1 M / 100 k": seconds["isotropic 1 M, whole iteration"]
         / seconds["isotropic 100 k, whole iteration"],
         "scratch at 1 M, MB": workspace.bytes / 1e6,

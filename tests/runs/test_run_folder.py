@@ -90,7 +90,7 @@ def test_a_folder_that_another_process_writes_is_refused(tmp_path: Path) -> None
     RunFolder.create(tmp_path, CONFIG, "abc", rerun=False)
     other = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     try:
-        mine = current_status("running", "", 0, 10, "")
+        mine = current_status("running", "", 0, 10, (), "")
         write_status(tmp_path, dataclasses.replace(mine, pid=other.pid, process_started=None))
         with pytest.raises(BenchError, match=f"is being written by process {other.pid}"):
             RunFolder.create(tmp_path, CONFIG, "abc", rerun=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from bench.street.casting import cast, pinhole_rays
+from bench.street.circuit import CircuitPath
 from bench.street.path import StreetPath
 from bench.street.scene import build_street
 from bench.street.surfaces import Surfaces
@@ -23,6 +25,32 @@ def test_path_is_smooth_and_has_unit_speed() -> None:
     np.testing.assert_allclose(step, [np.sin(middle), np.cos(middle)], atol=1e-4)
     assert np.abs(np.diff(heading)).max() < 0.01 / 20.0
     assert np.ptp(heading) > np.deg2rad(40.0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_circuit_is_smooth_closes_and_has_unit_speed(seed: int) -> None:
+    path = CircuitPath(np.random.default_rng(seed), 420.0)
+    s = np.arange(0.0, 421.0, 0.01)
+    x, z, heading = np.array([path.at(value) for value in s]).T
+    heading = np.unwrap(heading)
+    step = np.stack([np.diff(x), np.diff(z)]) / 0.01
+    middle = (heading[1:] + heading[:-1]) / 2
+    np.testing.assert_allclose(step, [np.sin(middle), np.cos(middle)], atol=1e-4)
+    assert abs(heading[42_000] - heading[0]) == pytest.approx(2 * np.pi)
+    np.testing.assert_allclose([x[42_000], z[42_000]], [0.0, 0.0], atol=1e-9)
+    # Four straights and four bends of 90 degrees.
+    bends = np.diff(np.abs(np.diff(heading)) > 1e-9)
+    assert np.count_nonzero(bends) == 8
+
+
+def test_every_point_near_a_circuit_is_located() -> None:
+    path = CircuitPath(np.random.default_rng(2), 300.0)
+    rng = np.random.default_rng(0)
+    s, d = rng.uniform(0.0, 300.0, 20_000), rng.uniform(-12.0, 12.0, 20_000)
+    points = np.array([path.beside(*pair) for pair in zip(s, d, strict=True)])
+    s_found, d_found, _ = path.locate(*points[:, :2].T.astype(np.float32), 0.0, 0.0)
+    np.testing.assert_allclose((s_found - s + 150.0) % 300.0, 150.0, atol=3e-3)
+    np.testing.assert_allclose(d_found, d, atol=3e-3)
 
 
 def test_locate_undoes_beside() -> None:

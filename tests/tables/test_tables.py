@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from bench.commands import list as list_command
 from bench.commands import table as table_command
 from bench.errors import BenchError
 from bench.runs.folder import RunFolder
 from bench.tables.collect import collect_row, find_runs
-from bench.tables.render import as_latex, as_markdown
+from bench.tables.render import as_csv, as_latex, as_markdown, print_table
+from bench.tables.static_camera import static_camera_rows
 
 CONFIG: dict[str, Any] = {
     "dataset": {"name": "kitti", "sequence": "06"},
@@ -89,6 +92,80 @@ def test_failed_and_damaged_runs_have_a_row_that_says_so(runs: Path) -> None:
     assert "- b_oom: stopped: asked for 40 GB" in text
 
 
+def with_frames(static_m: float, lost: int = 0, total: int = 10, **trajectory: float) -> dict[str, Any]:
+    """The metrics above with a static camera's error and tracking states; frames 4, 5, ... were lost."""
+    frames = {"total": total, "tracked": total - lost, "ok": total - lost, "weak": 0, "lost": lost}
+    frames["lost_stretches"] = [[4, 3 + lost]] if lost else []  # type: ignore[assignment]
+    known = METRICS["trajectory"] | {"static_camera_ate_rmse_m": static_m} | trajectory
+    return METRICS | {"trajectory": known, "frames": frames}
+
+
+def test_lost_frames_are_in_the_status_and_below_the_table(tmp_path: Path) -> None:
+    metrics = with_frames(92.16, lost=3, static_camera_compared_ate_rmse_m=15.25)
+    text = as_markdown([collect_row(make_run(tmp_path / "a", "done", metrics))])
+    assert cells(text, "a")["Status"] == "done, 3 frames lost"
+    assert cells(text, "a")["Frames"] == "7/10"
+    assert "- a: 3 frames lost (4 to 6); on the others a static camera's ATE is 15.250 m" in text
+
+
+def test_a_run_that_was_never_scored_hides_no_lost_frames(tmp_path: Path) -> None:
+    folder = RunFolder.create(tmp_path / "a", CONFIG, "h", rerun=False)
+    states = ["ok", "lost", "lost", "weak"]
+    rows = [{"number": i, "timestamp": i, "state": s, "mapped": 0, "heldout": 0} for i, s in enumerate(states)]
+    folder.write_frames(rows)
+    folder.set_status("failed", "no more", 4, 9)
+    row = collect_row(tmp_path / "a")
+    assert (row.values["status"], row.values["frames"]) == ("failed, 2 frames lost", "2/9")
+    assert "2 frames lost (1 to 2)" in row.notes
+
+
+def test_one_static_camera_a_data_set_however_many_runs(tmp_path: Path) -> None:
+    """Runs a and b have the same frames (b lost some, and used the other camera), c is shorter, d has no truth."""
+    made = {"a": with_frames(92.16), "b": with_frames(92.18, lost=2), "c": with_frames(31.5, total=5), "d": METRICS}
+    rows = [collect_row(make_run(tmp_path / name, "done", metrics)) for name, metrics in made.items()]
+    references = static_camera_rows(rows)
+    assert [(r.values["dataset"], r.values["frames"], r.values["ate_rmse_m"]) for r in references] == [
+        ("kitti/06", "10/10", 92.16),
+        ("kitti/06", "5/5", 31.5),
+    ]
+    text = as_markdown(rows)
+    assert cells(text, "*static camera*")["ATE [m]"] == "*92.160*"
+    assert cells(text, "*static camera*")["PSNR [dB]"] == "-"
+    assert [line.split("|")[1].strip() for line in text.splitlines()[2:8]] == [
+        *("a", "b", "c", "d", "*static camera*", "*static camera*")
+    ]
+    latex = as_latex(rows)
+    body = latex.partition(r"\midrule")[2]
+    assert body.count(r"\textit{static camera} & \textit{kitti/06}") == 2
+    assert r"\midrule" in body.partition(r"\textit")[0], "a rule above the reference rows"
+    table = list(csv.DictReader(as_csv(rows).splitlines()))
+    assert [(row["run"], row["ate_rmse_m"]) for row in table[4:]] == [
+        ("static camera", "92.16"),
+        ("static camera", "31.5"),
+    ]
+
+
+def test_the_terminal_shows_the_static_camera_too(tmp_path: Path) -> None:
+    rows = [collect_row(make_run(tmp_path / name, "done", with_frames(92.16))) for name in "ab"]
+    for shown_rows, expected in ((rows, 1), (rows[:1], 1)):
+        console = Console(file=io.StringIO(), width=300)
+        print_table(shown_rows, console)
+        lines = [line for line in console.file.getvalue().splitlines() if "static camera" in line]  # type: ignore
+        assert len(lines) == expected
+        assert "92.160" in lines[0]
+
+
+def test_columns_that_no_run_fills_are_left_out(tmp_path: Path) -> None:
+    plain = collect_row(make_run(tmp_path / "plain", "done", METRICS))
+    assert "RPE" not in as_markdown([plain])
+    assert "rpe_trans_rmse_m" in as_csv([plain])
+    drift = with_frames(92.16, rpe_trans_rmse_m=0.01234, t_rel_short_percent=1.2345)
+    text = as_markdown([plain, collect_row(make_run(tmp_path / "drift", "done", drift))])
+    assert (cells(text, "drift")["RPE [m]"], cells(text, "drift")["t_rel 10-50 m [%]"]) == ("0.0123", "1.23")
+    assert cells(text, "plain")["RPE [m]"] == "-"
+    assert "t_rel [%]" not in text, "short segments are no standard ones"
+
+
 def test_odd_values_do_not_stop_the_table(tmp_path: Path) -> None:
     odd = {"views": [], "trajectory": {"ate_rmse_m": "far"}, "resources": {"mapping_s_per_frame": "slow"}, "notes": 3}
     row = collect_row(make_run(tmp_path / "odd", "done", odd))
@@ -149,9 +226,10 @@ def test_list_has_one_line_a_plugin_and_the_broken_files(
     (tmp_path / "my_net.py").write_text("import a_package_that_is_not_there\n")
     assert list_command.run(argparse.Namespace(kind="evaluator", plugins=[str(tmp_path)])) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[1] for line in lines[:4]] == ["ate", "depth_l1", "image", "resources"]
-    assert all(line.split()[2] == "available" for line in lines[:4])
-    assert lines[4].startswith("broken")
-    assert "my_net.py: ModuleNotFoundError: No module named 'a_package_that_is_not_there'" in lines[4]
+    names = ["ate", "depth_l1", "image", "kitti_odometry", "resources", "rpe"]
+    assert [line.split()[1] for line in lines[:6]] == names
+    assert all(line.split()[2] == "available" for line in lines[:6])
+    assert lines[6].startswith("broken")
+    assert "my_net.py: ModuleNotFoundError: No module named 'a_package_that_is_not_there'" in lines[6]
     with pytest.raises(BenchError, match=r"kind='evaluators' is not one of .* Did you mean 'evaluator'\?"):
         list_command.run(argparse.Namespace(kind="evaluators", plugins=[]))

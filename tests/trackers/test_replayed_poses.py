@@ -103,9 +103,128 @@ def test_tum_file_of_another_clock(tmp_path: Path, frames: Any, times: list[floa
         replay(tracker("trajectory_file", path=str(tmp_path / "t.txt")), frames)
 
 
+def test_tum_file_can_go_by_index(tmp_path: Path, frames: Any) -> None:
+    write_tum(tmp_path / "t.txt", Trajectory(poses(9), np.arange(9), np.arange(9.0)))
+    results = replay(tracker("trajectory_file", path=str(tmp_path / "t.txt"), match="index"), frames)
+    np.testing.assert_allclose([r.T_world_cam for r in results], poses(9)[[4, 5, 7]], atol=1e-14)
+
+
+def drive(count: int) -> np.ndarray:
+    """1 m forward a frame."""
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, 2, 3] = np.arange(count)
+    return T
+
+
+def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.message for record in caplog.records if record.levelname == "WARNING"]
+
+
+@pytest.fixture
+def twenty(make_dataset: Any, small_camera: StereoCamera) -> Any:
+    """Frames 0 to 19 at 10 Hz."""
+    return make_dataset(small_camera, [(BLANK, BLANK)] * 20)
+
+
+def test_gaps_are_told_once_each(tmp_path: Path, twenty: Any, caplog: pytest.LogCaptureFixture) -> None:
+    kept = np.array([2, 3, 4, 5, 9, 10, 11, 12, 13, 14, 15, 16])
+    file = tmp_path / "t.txt"
+    write_tum(file, Trajectory(drive(20)[kept], kept, 0.1 * kept))
+    results = replay(tracker("trajectory_file", path=str(file)), twenty)
+    assert [i for i, result in enumerate(results) if result.state == "lost"] == [0, 1, 6, 7, 8, 17, 18, 19]
+    assert warnings(caplog) == [
+        f"frame 0: {file} begins only at 0.200 s; no pose within 0.01 s of 0.000 s",
+        f"frame 6: {file} has a gap from 0.500 to 0.900 s; no pose within 0.01 s of 0.600 s",
+        f"frame 17: {file} ends at 1.600 s already; no pose within 0.01 s of 1.700 s",
+    ]
+
+
+def test_a_file_of_keyframes_only(tmp_path: Path, twenty: Any, caplog: pytest.LogCaptureFixture) -> None:
+    write_tum(tmp_path / "t.txt", Trajectory(drive(20)[::3], np.arange(7), 0.3 * np.arange(7)))
+    tracker("trajectory_file", path=str(tmp_path / "t.txt")).start(twenty)
+    assert warnings(caplog) == [
+        f"tracker.path={tmp_path / 't.txt'} has 7 poses for 20 frames, so most frames are lost; a file of keyframes "
+        "only?"
+    ]
+
+
+def test_a_complete_file_is_taken_without_a_word(tmp_path: Path, twenty: Any, caplog: pytest.LogCaptureFixture) -> None:
+    write_tum(tmp_path / "t.txt", Trajectory(drive(20), np.arange(20), 0.1 * np.arange(20)))
+    write_kitti(tmp_path / "k.txt", drive(20))
+    for name in ("t.txt", "k.txt"):
+        results = replay(tracker("trajectory_file", path=str(tmp_path / name)), twenty)
+        assert {result.state for result in results} == {"ok"}
+    assert warnings(caplog) == []
+
+
+@pytest.mark.parametrize(
+    ("turned", "words"),
+    [
+        (np.linalg.inv(drive(20)), "the poses look like world to camera, or the camera drives backwards"),
+        (
+            drive(20) @ np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]]),
+            "the poses look like those of a body frame (x forward, z up); ours have x right, y down, z forward",
+        ),
+    ],
+)
+def test_poses_of_another_convention_are_warned_of(
+    tmp_path: Path, twenty: Any, caplog: pytest.LogCaptureFixture, turned: np.ndarray, words: str
+) -> None:
+    write_kitti(tmp_path / "k.txt", turned)
+    tracker("trajectory_file", path=str(tmp_path / "k.txt")).start(twenty)
+    (text,) = warnings(caplog)
+    assert text.startswith(f"tracker.path={tmp_path / 'k.txt'}: {words}")
+    assert text.endswith("Convert the file if that is so.")
+
+
+def test_quaternions_with_w_first_are_warned_of(tmp_path: Path, twenty: Any, caplog: pytest.LogCaptureFixture) -> None:
+    text = "".join(f"{0.1 * i:.1f} 0 0 {i} 1 0 0 0\n" for i in range(20))
+    (tmp_path / "t.txt").write_text(text)
+    tracker("trajectory_file", path=str(tmp_path / "t.txt")).start(twenty)
+    assert warnings(caplog) == [
+        f"tracker.path={tmp_path / 't.txt'}: the quaternions look like qw qx qy qz; TUM's order is qx qy qz qw. "
+        "Convert the file if that is so."
+    ]
+
+
+GOOD = "0.0 0 0 0 0 0 0 1\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (GOOD + "0.1 0 0 nan 0 0 0 1\n", "FILE, line 2: NaN or infinity in the pose."),
+        (GOOD + "0.1 0 0 1 0 0 0 2\n", "FILE, line 2: the quaternion has length 2, not 1. Expected qx qy qz qw in"),
+        (GOOD + "0.2 0 0 1 0 0 0 1\n0.1 0 0 2 0 0 0 1\n", "FILE, line 3: the timestamp 0.1 is not after the one"),
+        (GOOD + GOOD, "FILE, line 2: the timestamp 0.0 is not after the one before. Sort it by time."),
+        (GOOD + "0.1 0 0 1 0 0 0\n", "FILE, line 2: found 7 values, expected 8 numbers: timestamp tx ty tz qx qy qz"),
+        (GOOD + "0.1 0 0 x 0 0 0 1\n", "FILE, line 2: could not convert string to float: 'x'; expected 8 numbers"),
+        ("# only a comment\n", "FILE has 0 values in its first line; KITTI has 12 and TUM 8."),
+        (
+            "".join(f"{i} 0 0 {i} 0 0 0 1\n" for i in range(20)),
+            "FILE: its times 0, 1, ... are frame numbers, not seconds. Use tracker.match=index, or write times.",
+        ),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n" * 19, "FILE has 19 poses, but memory has 20 frames numbered up to 19. It needs"),
+        ("1 0 0 0 0 1 0 0 0 0 1 nan\n" * 20, "FILE, line 1: NaN or infinity in the pose."),
+        ("1 0 0 0 0 1 0 0 0 0 2 0\n" * 20, "FILE, line 1: the 3x3 part is not a rotation. Expected T_world_cam"),
+    ],
+)
+def test_a_wrong_file_is_an_error_that_says_where(tmp_path: Path, twenty: Any, content: str, sentence: str) -> None:
+    file = tmp_path / "wrong.txt"
+    file.write_text(content)
+    with pytest.raises(BenchError) as error:
+        tracker("trajectory_file", path=str(file)).start(twenty)
+    assert str(error.value).startswith(sentence.replace("FILE", str(file)))
+
+
 def test_wrong_settings_are_named(tmp_path: Path, frames: Any) -> None:
     with pytest.raises(BenchError, match=r"tracker\.format='tumm' is not one of auto, kitti, tum\. Did you mean 'tum'"):
         tracker("trajectory_file", path="x", format="tumm")
+    with pytest.raises(BenchError, match=r"tracker\.match='times' is not one of .*Did you mean 'time'"):
+        tracker("trajectory_file", path="x", match="times")
+    write_kitti(tmp_path / "k.txt", poses(3))
+    with pytest.raises(BenchError, match=r"tracker\.match=time: .*k\.txt is in KITTI's format, which has no times"):
+        tracker("trajectory_file", path=str(tmp_path / "k.txt"), match="time").start(frames)
     with pytest.raises(BenchError, match=r"needs tracker\.path=FILE"):
         tracker("trajectory_file")
     with pytest.raises(BenchError, match=r"tracker\.path=.*none\.txt does not exist"):

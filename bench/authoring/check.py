@@ -1,0 +1,28 @@
+"""Checks a plugin against the contract of its kind."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Sequence
+
+from bench.authoring.candidate import FOR_ALL_KINDS, candidate_of
+from bench.authoring.verdict import Candidate, Finding, run_checks
+
+
+def check_plugin(*overrides: str, folders: Sequence[str] = ()) -> list[Finding]:
+    """All findings about the plugin that the first ``KIND=NAME`` names; ``overrides`` as for ``bgs-bench run``.
+
+    ``folders``: plugin folders of the author's. Raises ``BenchError`` for an unknown name or a wrong setting.
+    """
+    return list(findings_of(candidate_of(overrides, folders)))
+
+
+def findings_of(candidate: Candidate) -> Iterator[Finding]:
+    """The findings as they are made: first what holds for every kind, then the contract of the plugin's own."""
+    general = list(run_checks(candidate.plugin, candidate, FOR_ALL_KINDS))
+    yield from general
+    if any(finding.state == "FAILED" and finding.title != "config" for finding in general):
+        return
+    # Each kind's checks bring what they need (torch, pandas, ...) when they are asked for.
+    module = importlib.import_module(f"bench.authoring.{candidate.plugin.kind}_checks")
+    yield from run_checks(candidate.plugin, module.Subject(candidate), module.CHECKS)

@@ -1,0 +1,116 @@
+"""The tracker ``stereo_orb`` with loop closing: its settings, real images without a loop, and a street driven round."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch  # noqa: F401 - before gtsam, as in the bench
+
+import plugins.trackers.stereo_orb as plugin_file
+from bench.config import plugin_config_from
+from bench.contracts.dataset import Dataset
+from bench.contracts.tracker import Tracker
+from bench.errors import BenchError
+from bench.registry import lookup
+from bench.tracking.loops.closer import LoopSettings
+from bench.tracking.loops.vocabulary import train
+from bench.types import StereoCamera, StereoFrame, Trajectory
+
+pytest.importorskip("gtsam")
+
+
+def stereo_orb(**settings: Any) -> Tracker:
+    plugin = lookup("tracker", "stereo_orb")
+    return plugin.cls(plugin.config(name="stereo_orb", **settings))
+
+
+def drive(tracker: Tracker, dataset: Dataset) -> Trajectory:
+    tracker.start(dataset)
+    for position in range(len(dataset)):
+        tracker.track(dataset.frame(position))
+    return tracker.trajectory()
+
+
+class Kitti(Dataset):
+    """Frames 0-50 of KITTI 06, grey; calibration as in the data set's calib.txt."""
+
+    def __init__(self, root: Path) -> None:
+        self.label, self.numbers = "kitti/06", tuple(range(51))
+        self.camera = StereoCamera(1226, 370, 707.0912, 707.0912, 601.8873, 183.1104, (379.8145 / 707.0912, 0.0, 0.0))
+        self._folder = root / "sequences" / "06"
+
+    def frame(self, position: int) -> StereoFrame:
+        images = [cv2.imread(str(self._folder / side / f"{position:06d}.png"), 0) for side in ("image_0", "image_1")]
+        left, right = (np.dstack([image] * 3) for image in images if image is not None)
+        return StereoFrame(position, 0.1 * position, left, right)
+
+
+def test_a_straight_real_road_closes_nothing(kitti_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Searched as eagerly as can be: after 5 places, for loops of 8 m, whatever drift they imply."""
+    eager = LoopSettings(training_places=5, min_way_m=8.0, min_similarity=0.0, max_drift=1.0, min_inliers=15)
+    tracker, asked = stereo_orb(loops=eager), []
+    real = plugin_file.LoopCloser._follow
+    monkeypatch.setattr(plugin_file.LoopCloser, "_follow", lambda self, s: (asked.append(len(s)), real(self, s)))
+    with_loops = drive(tracker, Kitti(kitti_root))
+    without = drive(stereo_orb(loop_closure=False), Kitti(kitti_root))
+    assert len(asked) > 15
+    assert np.array_equal(with_loops.T_world_cam, without.T_world_cam)
+
+
+def ate_m(trajectory: Trajectory, truth: Trajectory) -> float:
+    """RMS after the best rigid motion of the centres (Kabsch)."""
+    a, b = trajectory.T_world_cam[:, :3, 3], truth.T_world_cam[trajectory.numbers][:, :3, 3]
+    U, _, Vt = np.linalg.svd((b - b.mean(0)).T @ (a - a.mean(0)))
+    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    return float(np.sqrt((((a - a.mean(0)) @ R.T - (b - b.mean(0))) ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.slow
+def test_a_street_with_repeated_facades_closes_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    street = lookup("dataset", "street")
+    config = street.config(name="street", frames=275, circuit_m=240, repeated_facades=True, width=512, height=160)
+    dataset = street.cls(config)
+    truth = dataset.ground_truth()
+    assert truth is not None
+    with caplog.at_level(logging.INFO, logger="plugins.trackers.stereo_orb"):
+        closed = drive(stereo_orb(features=1200), dataset)
+    first = caplog.messages[0]
+    assert first.startswith("loop closed: frame 2")
+    assert "tracker keyframes moved, the farthest by" in first
+    assert ate_m(closed, truth) < 0.001 * 275
+    # The same place on both laps, but for the 0.2 m by which the car wanders in its lane.
+    assert np.linalg.norm(closed.T_world_cam[274, :3, 3] - closed.T_world_cam[34, :3, 3]) < 0.6
+
+
+def test_loop_closing_needs_gtsam_and_only_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent() -> None:
+        raise BenchError("Loop closing needs gtsam")
+
+    monkeypatch.setattr(plugin_file, "import_gtsam", absent)
+    with pytest.raises(BenchError, match="needs gtsam"):
+        stereo_orb()
+    stereo_orb(loop_closure=False)
+
+
+def test_settings_are_nested_typed_and_checked() -> None:
+    config = plugin_config_from("tracker", {"name": "stereo_orb", "loops": {"min_matches": 5}})
+    assert config.loops == LoopSettings(min_matches=5)  # type: ignore[attr-defined]
+    with pytest.raises(BenchError, match="min_match"):
+        plugin_config_from("tracker", {"name": "stereo_orb", "loops": {"min_match": 5}})
+    with pytest.raises(BenchError, match=r"tracker\.loops\.min_inliers=3 is too small; the least is 15\."):
+        stereo_orb(loops=LoopSettings(min_inliers=3))
+
+
+def test_a_vocabulary_is_read_from_its_file(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    vocabulary = train([rng.integers(0, 2**64, (300, 4), dtype=np.uint64) for _ in range(3)], 5, 2)
+    vocabulary.save(tmp_path / "small.npz")
+    tracker = stereo_orb(vocabulary=str(tmp_path / "small.npz"))
+    assert len(tracker._vocabulary) == len(vocabulary)  # type: ignore[attr-defined]
+    with pytest.raises(BenchError, match=r"none\.npz does not exist"):
+        stereo_orb(vocabulary=str(tmp_path / "none.npz"))

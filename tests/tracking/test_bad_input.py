@@ -1,0 +1,102 @@
+"""Images that show nothing, or not what they should: no crash, no NaN, the state says so, and the log says what."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.tracking.features import Features, OrbExtractor
+from bench.tracking.pair_check import fault_of_pair
+
+
+def run(tracker: Any, pairs: list[Any]) -> list[Any]:
+    results = [tracker.track(left, right, 0.1 * i) for i, (left, right) in enumerate(pairs)]
+    for result in results:
+        assert (result.T_world_cam is None) == (result.state == "lost")
+        assert result.T_world_cam is None or np.isfinite(result.T_world_cam).all()
+    assert np.isfinite(tracker.keyframe_poses()).all()
+    return results
+
+
+def states(results: list[Any]) -> str:
+    return "".join(r.state[0] for r in results)
+
+
+@pytest.mark.parametrize("value", [0, 128, 255])
+def test_two_seconds_without_texture(drive: Any, odometry: Any, value: int) -> None:
+    blank = np.full_like(drive.pairs[0][0], value)
+    results = run(odometry(), [*drive.pairs[:6], *[(blank, blank)] * 20, *drive.pairs[6:10]])
+    assert states(results) == "o" * 6 + "w" * 5 + "l" * 15 + "w" + "ooo"
+    # The new map begins where the car would be at its old speed; from there the steps are right again.
+    after = np.array([r.T_world_cam[:3, 3] for r in results[-4:]])
+    np.testing.assert_allclose(np.linalg.norm(np.diff(after, axis=0), axis=1), 1.0, atol=0.05)
+
+
+def test_frame_repeated_thirty_times(drive: Any, odometry: Any) -> None:
+    results = run(odometry(), [*drive.pairs[:6], *[drive.pairs[5]] * 30, *drive.pairs[6:12]])
+    assert states(results) == "o" * 42
+    there = np.array([r.T_world_cam[:3, 3] for r in results])
+    np.testing.assert_allclose(there[6:36], np.tile(there[5], (30, 1)), atol=0.03)
+    np.testing.assert_allclose(there[36:], drive.poses[6:12, :3, 3], atol=0.1)
+
+
+def test_jump_of_five_metres(drive: Any, odometry: Any) -> None:
+    positions = [0, 1, 2, 3, 4, 9, 10, 11, 12]
+    results = run(odometry(), [drive.pairs[i] for i in positions])
+    assert states(results) == "o" * 9
+    np.testing.assert_allclose([r.T_world_cam[:3, 3] for r in results], drive.poses[positions, :3, 3], atol=0.15)
+
+
+def test_swapped_images_are_named_once(drive: Any, odometry: Any, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        results = run(odometry(), [(right, left) for left, right in drive.pairs])
+    assert states(results) == "l" * 24
+    assert len(caplog.records) == 1
+    assert "left and right images seem to be swapped" in caplog.text
+    assert "Swap the two cameras in the data set." in caplog.text
+
+
+@pytest.mark.parametrize(("offset", "side"), [(20, "lower"), (-20, "higher")])
+def test_rows_out_of_line_are_measured(
+    drive: Any, odometry: Any, caplog: pytest.LogCaptureFixture, offset: int, side: str
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        results = run(odometry(), [(left, np.roll(right, offset, axis=0)) for left, right in drive.pairs[:8]])
+    assert states(results) == "l" * 8
+    assert len(caplog.records) == 1
+    words = caplog.records[0].getMessage().split()
+    assert words[words.index("lie") + 2 : words.index("lie") + 4] == ["pixels", side]
+    assert abs(float(words[words.index("lie") + 1]) - 20.0) < 0.5
+
+
+def test_good_pairs_raise_no_warning(drive: Any, odometry: Any, caplog: pytest.LogCaptureFixture) -> None:
+    blank = np.zeros_like(drive.pairs[0][0])
+    with caplog.at_level(logging.WARNING):
+        run(odometry(), [(blank, blank), *drive.pairs[:6]])
+    assert not caplog.records
+
+
+def test_pictures_of_different_places_have_no_named_fault(drive: Any) -> None:
+    rng = np.random.default_rng(0)
+    left, _ = OrbExtractor(500).extract(drive.pairs[0][0])
+    bits = rng.integers(0, 256, (400, 32), dtype=np.uint8).view(np.uint64)
+    right = Features(rng.uniform(0, 190, (400, 2)), np.zeros(400, np.int64), bits)
+    assert fault_of_pair(left, right) is None
+
+
+def test_noise_never_gives_a_wrong_pose_silently(drive: Any, odometry: Any) -> None:
+    rng = np.random.default_rng(0)
+    noise = [tuple(rng.integers(0, 256, (2, 192, 512), dtype=np.uint8)) for _ in range(8)]
+    assert "o" not in states(run(odometry(), [*drive.pairs[:4], *noise]))[4:]
+
+
+def test_right_image_black_after_a_while(drive: Any, odometry: Any) -> None:
+    """One camera fails: the map carries the left one for a while, and no pose is made up without saying so."""
+    pairs = [*drive.pairs[:8], *[(left, np.zeros_like(left)) for left, _ in drive.pairs[8:]]]
+    results = run(odometry(), pairs)
+    for i, result in enumerate(results):
+        if result.state == "ok":
+            np.testing.assert_allclose(result.T_world_cam[:3, 3], drive.poses[i, :3, 3], atol=0.5)
