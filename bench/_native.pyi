@@ -121,7 +121,7 @@ def match_boxes(
     octave_tolerance: float,
 ) -> tuple[Any, Any]: ...
 def optimise_pose(
-    camera: list[float], points: Any, measured: Any, T_cam_world: Any, rounds: int, iterations: int
+    camera: list[float], points: Any, measured: Any, T_cam_world: Any, rounds: int, iterations: int, gate_first: bool
 ) -> tuple[Any, Any, float]: ...
 def bundle_adjust(
     camera: list[float],

@@ -15,13 +15,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Read when torch is first imported, below: its OpenMP threads would otherwise spin after each operation and take
     # the cores from the C++ core's threads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    from bench.commands import doctor, evaluate, list, run, score, table, vocabulary
+    from bench.commands import (
+        cache,
+        check_plugin,
+        doctor,
+        evaluate,
+        list,
+        new_plugin,
+        run,
+        score,
+        stereo_eval,
+        table,
+        vocabulary,
+        weights,
+    )
 
     parser = argparse.ArgumentParser(
         prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors."
     )
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (run, list, table, evaluate, score, vocabulary, doctor):
+    commands = (run, list, table, evaluate, score, stereo_eval, vocabulary, weights, cache, new_plugin, check_plugin)
+    for command in (*commands, doctor):
         command.add_parser(subparsers)
     args, left = parser.parse_known_args(arguments)
     # argparse takes `run a=1 -m b=2` for two lists of overrides and knows a place for the first only.

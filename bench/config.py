@@ -23,6 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from bench import registry
+from bench.cache.settings import CacheConfig
 from bench.discovery import load_plugins
 from bench.errors import BenchError, did_you_mean, require_choice
 from bench.evaluation.protocol import Protocol
@@ -36,7 +37,8 @@ class RootConfig:
 
     ``output``: the run folder; None = ``results/runs/<hash of the config>``. ``rerun``: run again although the folder
     holds this run, finished. ``plugins``: folders with plugins of your own. ``pipeline``: "parallel" lets tracking
-    and stereo run ahead of mapping, "sequential" does not; the result is the same.
+    and stereo run ahead of mapping, "sequential" does not; the result is the same. ``cache``: the disk cache of depth
+    maps and sky masks.
     """
 
     system: str = ""
@@ -45,6 +47,7 @@ class RootConfig:
     rerun: bool = False
     plugins: list[str] = field(default_factory=list)
     pipeline: str = "parallel"
+    cache: CacheConfig = field(default_factory=CacheConfig)
     protocol: Any = None
     dataset: Any = None
     stereo: Any = None
@@ -76,6 +79,11 @@ class RunConfig:
     def protocol(self) -> Protocol:
         """How the run is scored."""
         return Protocol.from_mapping(self.values["protocol"])
+
+    @property
+    def cache(self) -> CacheConfig:
+        """The disk cache of depth maps and sky masks."""
+        return CacheConfig.from_mapping(self.values["cache"])
 
     @property
     def output(self) -> Path:
@@ -147,6 +155,7 @@ def resolved(composed: DictConfig) -> RunConfig:
         for mapping in (plain[kind] or {}).values() if kind in SEVERAL_AT_ONCE else [plain[kind]]:
             _make_paths_absolute(kind, mapping)
     Protocol.from_mapping(plain["protocol"])
+    plain["cache"] = dataclasses.asdict(CacheConfig.from_mapping(plain["cache"]))
     require_choice("pipeline", plain["pipeline"], ["parallel", "sequential"])
     hashed = {key: value for key, value in plain.items() if key not in NO_PART_OF_THE_RUN}
     text = json.dumps(hashed, sort_keys=True, default=str)

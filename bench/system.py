@@ -13,12 +13,14 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
 from bench import registry
+from bench.cache import cached_depth_source, cached_segmenter, cost_of
 from bench.config import RunConfig
 from bench.contracts.dataset import Dataset
 from bench.contracts.keyframer import Keyframer
@@ -70,10 +72,17 @@ class System:
         rasterizer = registry.build(config.plugin("rasterizer"), "rasterizer")
         for evaluator in config.several("evaluator"):
             registry.lookup("evaluator", evaluator.name)
+        parts["stereo"] = cached_depth_source(parts["stereo"], config.plugin("stereo"), dataset, config.cache)
+        parts["sky"] = cached_segmenter(parts["sky"], config.plugin("sky"), dataset, config.cache)
         parts["tracker"].start(dataset)
         parts["stereo"].start(dataset)
         parts["mapper"].start(dataset.camera, rasterizer, losses, config.values["seed"])
         return cls(dataset=dataset, protocol=config.protocol, **parts)
+
+    def weights(self) -> dict[str, Path]:
+        """The files of network weights in use, as ``"stereo.<what>"`` and ``"sky.<what>"``."""
+        parts: dict[str, DepthSource | SkySegmenter] = {"stereo": self.stereo, "sky": self.sky}
+        return {f"{kind}.{what}": path for kind, part in parts.items() for what, path in part.weights().items()}
 
 
 @dataclass
@@ -117,7 +126,9 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
     with folder.attach_log(), _terminate_as_interrupt():
         folder.set_status("running", frames_total=total)
         try:
-            folder.write_json(PROVENANCE_FILE, collect_provenance(config.values, config.values["seed"]))
+            folder.write_json(
+                PROVENANCE_FILE, collect_provenance(config.values, config.values["seed"], system.weights())
+            )
             _run_frames(system, done, config.values["pipeline"] == "parallel", progress)
             with done.timed("mapping"):
                 system.mapper.update_poses(system.tracker.trajectory())
@@ -184,6 +195,7 @@ def _front_end(system: System) -> Generator[_FrontEnd, None, None]:
             "heldout": system.protocol.is_held_out(frame.number),
             "tracking_s": time.perf_counter() - start,
             "stereo_s": 0.0,
+            "stereo_cached": False,
         }
         if tracking.state == "lost":
             log.warning("frame %d: tracking is lost", frame.number)
@@ -192,13 +204,18 @@ def _front_end(system: System) -> Generator[_FrontEnd, None, None]:
             continue
         decision = system.keyframer.update(frame, tracking)
         row["keyframe_reason"] = decision.reason
-        if not decision.is_keyframe:
+        row["is_keyframe"] = decision.is_keyframe
+        if not (decision.is_keyframe and system.mapper.wants_keyframes):
             yield _FrontEnd(row)
             continue
         start = time.perf_counter()
         depth = system.stereo.depth(frame, position, camera)
+        depth_cost = cost_of(system.stereo, time.perf_counter() - start)
+        start = time.perf_counter()
         sky = system.sky.segment(frame.left, depth, camera)
-        row["stereo_s"] = time.perf_counter() - start
+        sky_cost = cost_of(system.sky, time.perf_counter() - start)
+        row["stereo_s"] = depth_cost.seconds + sky_cost.seconds
+        row["stereo_cached"] = depth_cost.cached or sky_cost.cached
         trajectory = system.tracker.trajectory()
         pose = trajectory.pose_of(frame.number)
         assert pose is not None
@@ -232,7 +249,6 @@ def _map_keyframe(system: System, done: _Progress, seen: _FrontEnd) -> dict[str,
         ", ".join(f"{name} {value:.4f}" for name, value in report.losses.items()),
     )
     return {
-        "is_keyframe": True,
         "mapped": True,
         "psnr_while_mapping": report.psnr_db,
         "gaussians": report.gaussians,
@@ -241,6 +257,8 @@ def _map_keyframe(system: System, done: _Progress, seen: _FrontEnd) -> dict[str,
 
 def _save_views(system: System, folder: RunFolder) -> None:
     """Render every tracked frame from its final pose, left and (if the protocol asks) right, and save it."""
+    if not system.mapper.wants_keyframes:
+        return
     camera = system.dataset.camera
     trajectory = system.tracker.trajectory()
     for number, T_world_cam in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
@@ -270,6 +288,7 @@ def _save(system: System, folder: RunFolder, done: _Progress, memory: PeakMemory
     folder.write_json(
         RESOURCES_FILE,
         {"peak_memory_gb": memory.peak_gb(), "gaussians": system.mapper.gaussians, "frames": len(done.rows)}
+        | {"stereo_cached_frames": sum(row["stereo_cached"] for row in done.rows)}
         | per_frame
         | {"wall_s_per_frame": None if done.wall_s is None else done.wall_s / frames},
     )

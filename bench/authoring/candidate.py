@@ -53,7 +53,8 @@ def candidate_of(overrides: Sequence[str], folders: Sequence[str] = ()) -> Candi
     if not named:
         raise BenchError("Name the plugin to check as KIND=NAME, for example: bgs-bench check-plugin stereo=my_net")
     kind = named[0].key_or_group
-    if named[0].is_sweep_override() or (isinstance(named[0].value(), list) and len(named[0].value()) != 1):
+    value = named[0].value()
+    if named[0].is_sweep_override() or (isinstance(value, list) and len(value) != 1):
         raise BenchError(f"{named[0].input_line} names several plugins; check one at a time: {kind}=NAME.")
     small = _SMALL_FOR_TRACKER if kind == "tracker" else _SMALL
     surroundings = () if any(override.key_or_group.startswith("dataset") for override in parsed) else small

@@ -25,4 +25,5 @@ def findings_of(candidate: Candidate) -> Iterator[Finding]:
         return
     # Each kind's checks bring what they need (torch, pandas, ...) when they are asked for.
     module = importlib.import_module(f"bench.authoring.{candidate.plugin.kind}_checks")
-    yield from run_checks(candidate.plugin, module.Subject(candidate), module.CHECKS)
+    subject = module.Subject(candidate)
+    yield from run_checks(candidate.plugin, subject, module.checks_of(subject))

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -139,18 +140,19 @@ class Cost:
 
 def cost_of(call: Callable[[], object]) -> Cost:
     """Time and memory of a call after one to warm up; a few seconds, or three calls where they take longer."""
-    call()
     gc.collect()
     before, peak = resident_mb(), PeakMemory()
+    call()
+    gc.collect()
     times: list[float] = []
-    resident = [before]
+    resident = [resident_mb()]
     while len(times) < 3 or (len(times) < _MAX_CALLS and sum(times) < _SECONDS_FOR_COST):
         start = time.perf_counter()
         call()
         times.append(time.perf_counter() - start)
         gc.collect()
         resident.append(resident_mb())
-    left = None if before is None else [float(b) - float(a) for a, b in zip(resident, resident[1:], strict=False)]  # type: ignore[arg-type]
+    left = [b - a for a, b in pairwise(resident) if a is not None and b is not None] or None
     above = max(peak.host_gb() * 1e3 - (before or 0.0), 0.0)
     return Cost(len(times), float(np.median(times)) * 1e3, left, above)
 

@@ -19,6 +19,15 @@ from bench.registry import Plugin, PluginConfig
 State = Literal["ok", "FAILED", "note"]
 S = TypeVar("S")
 
+# What an author writes where a base class has the method itself.
+_WRITTEN_BY_AUTHORS = {
+    "disparity": ("match", "predict"),
+    "evaluate": ("loss",),
+    "loss": ("evaluate",),
+    "render": ("splat",),
+    "backward": ("splat",),
+}
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -116,21 +125,19 @@ def failure_of(plugin: Plugin, title: str, error: Exception) -> Finding:
     own = [frame for frame in frames if Path(frame.filename) == Path(plugin.file)]
     place = f"{own[-1].filename}:{own[-1].lineno}" if own else place_of(plugin, "")
     full = "".join(traceback.format_exception(error))
-    mend = "" if isinstance(error, BenchError) else "see the line below; --traceback shows how it came there"
+    mend = "" if isinstance(error, BenchError) else "see the line named here; --traceback shows how it came there"
     return Finding(title, "FAILED", seen, "no exception", mend, place, full)
 
 
 def place_of(plugin: Plugin, method: str) -> str:
-    """``file:line`` of the method's last ``return`` in the plugin's own file, else of the class."""
-    function = getattr(plugin.cls, method, None) if method else None
-    for found in (inspect.unwrap(function) if callable(function) else None, plugin.cls):
-        if found is None:
+    """``file:line`` of the last ``return`` of the method, or of what it calls, in the plugin's file; else its class."""
+    for name in (method, *_WRITTEN_BY_AUTHORS.get(method, ())):
+        function = getattr(plugin.cls, name, None)
+        if not inspect.isfunction(function) or inspect.getsourcefile(function) != plugin.file:
             continue
-        file, (source, first) = inspect.getsourcefile(found), inspect.getsourcelines(found)
-        if file is None or Path(file) != Path(plugin.file):
-            continue
-        return f"{file}:{first + (_last_return(source) if found is not plugin.cls else 0)}"
-    return plugin.file
+        source, first = inspect.getsourcelines(function)
+        return f"{plugin.file}:{first + _last_return(source)}"
+    return f"{plugin.file}:{inspect.getsourcelines(plugin.cls)[1]}"
 
 
 def _last_return(source: list[str]) -> int:

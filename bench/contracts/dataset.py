@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
+import numpy as np
+
 from bench.types import Map, Mask, StereoCamera, StereoFrame, Trajectory
 
 
@@ -19,6 +21,8 @@ class Dataset(ABC):
     camera: StereoCamera
     numbers: tuple[int, ...]
     """Frame numbers as in the data set, strictly increasing; ``frame(i)`` has number ``numbers[i]``."""
+    is_sequence: bool = True
+    """False for a collection of single pairs: neighbours are of different scenes, and may have cameras of their own."""
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -26,6 +30,10 @@ class Dataset(ABC):
     @abstractmethod
     def frame(self, position: int) -> StereoFrame:
         """Decode one frame. Called from a background thread."""
+
+    def camera_of(self, position: int) -> StereoCamera:
+        """The camera of one frame: ``self.camera``, but in a collection of single pairs, which may differ in size."""
+        return self.camera
 
     def ground_truth(self) -> Trajectory | None:
         """Ground-truth poses of the left camera of the pair in use, for exactly ``self.numbers``, or None."""
@@ -38,6 +46,18 @@ class Dataset(ABC):
     def true_depth(self, position: int) -> Map | None:
         """Exact dense depth (H, W) float32 metres where a data set knows it (NaN in the sky), else None."""
         return None
+
+    def true_disparity(self, position: int) -> Map | None:
+        """True disparity of the left image (H, W) float32 px, NaN where unknown; None where a data set has none.
+
+        Derived from ``true_depth`` as f b / z; a data set that comes with disparities overrides it. LiDAR is no such
+        truth: scans reach behind what the camera sees.
+        """
+        depth = self.true_depth(position)
+        if depth is None:
+            return None
+        camera = self.camera_of(position)
+        return (np.float32(camera.fx * camera.baseline) / depth).astype(np.float32)
 
     def true_sky(self, position: int) -> Mask | None:
         """Exact sky mask (H, W) where a data set knows it, else None."""

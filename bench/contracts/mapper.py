@@ -14,6 +14,9 @@ from bench.types import Keyframe, MappingReport, RenderedView, StereoCamera, Tra
 class Mapper(ABC):
     """Builds the map from keyframes. It never sees a held-out frame or, unless it says so, a right image."""
 
+    wants_keyframes: bool = True
+    """False for a mapper that builds nothing: then stereo and sky are not computed, and nothing is rendered."""
+
     @abstractmethod
     def start(self, camera: StereoCamera, rasterizer: Rasterizer, losses: Sequence[LossTerm], seed: int) -> None:
         """Called once before the first keyframe; all randomness comes from ``seed``."""

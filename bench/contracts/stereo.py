@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,17 @@ from bench.types import DepthMap, Image, Map, StereoCamera, StereoFrame
 
 
 class DepthSource(ABC):
-    """Gives the depth of a frame's left image. Most authors subclass ``StereoBackbone`` below."""
+    """Gives the depth of a frame's left image. Most authors subclass ``StereoBackbone`` below, and those who bring a
+    network ``bench.stereo.network.TorchStereo``."""
+
+    worth_caching: bool = False
+    """Whether one frame costs more than reading its depth from disk: True for networks."""
+    temporal: bool = False
+    """Whether a frame's depth depends on the frames before it; such depth is never taken from the cache."""
+
+    def weights(self) -> dict[str, Path]:
+        """Files of weights in use, by what they are for: they are part of a run's provenance and of the cache's key."""
+        return {}
 
     def start(self, dataset: Dataset) -> None:  # noqa: B027 - most sources have nothing to do here
         """Called once before the first frame of a sequence; reset state that is carried from frame to frame here."""
@@ -30,19 +41,45 @@ class StereoBackbone(DepthSource):
         """Disparity of the left image in pixels, (H, W) float32, positive, NaN where unknown."""
 
     def depth(self, frame: StereoFrame, position: int, camera: StereoCamera) -> DepthMap:
-        """Depth by triangulation, f b / d (paper, Sec. "Deep Stereo Depth Estimation")."""
+        """Depth by triangulation, f b / d (paper, Sec. "Deep Stereo Depth Estimation").
+
+        Unknown (NaN) where the disparity is not a positive finite number. A frame whose disparity is unknown everywhere
+        is a frame without depth; one that has disparities, but none above zero, is an error (``BenchError``).
+        """
         disparity = self.disparity(frame.left, frame.right)
-        _check(disparity, frame.left, type(self).__name__)
+        try:
+            check_disparity(disparity, frame.left.shape[:2], f"{type(self).__name__}.disparity")
+            check_sign(disparity, f"{type(self).__name__}.disparity")
+        except BenchError as error:
+            raise BenchError(f"Frame {frame.number}: {error}") from error
         with np.errstate(divide="ignore", invalid="ignore"):
-            depth = np.where(disparity > 0, camera.fx * camera.baseline / disparity, np.nan)
-        return DepthMap(depth.astype(np.float32), type(self).__name__)
+            depth = np.float32(camera.fx * camera.baseline) / disparity
+        # Also drops an infinite disparity, whose depth would be zero.
+        depth[~((depth > 0) & np.isfinite(depth))] = np.nan
+        return DepthMap(depth, type(self).__name__)
 
 
-def _check(disparity: Map, left: Image, plugin: str) -> None:
-    if not isinstance(disparity, np.ndarray) or disparity.shape != left.shape[:2]:
-        got = getattr(disparity, "shape", type(disparity).__name__)
+def check_disparity(disparity: Map, shape: tuple[int, ...], what: str) -> None:
+    """Raise ``BenchError`` unless ``disparity`` is a float32 array of ``shape``.
+
+    ``what`` names the method that returned it, for example ``"MyNet.disparity"``.
+    """
+    if not isinstance(disparity, np.ndarray):
+        raise BenchError(f"{what} returned {type(disparity).__name__}; return a float32 numpy array of shape {shape}.")
+    if disparity.shape != shape:
         raise BenchError(
-            f"{plugin}.disparity returned {got}; expected a float32 array of shape {left.shape[:2]}, the image's size."
+            f"{what} returned an array of shape {disparity.shape}; expected {shape}, the image's height and width."
         )
     if disparity.dtype != np.float32:
-        raise BenchError(f"{plugin}.disparity returned dtype {disparity.dtype}; expected float32.")
+        raise BenchError(f"{what} returned dtype {disparity.dtype}; expected float32 (add .astype(np.float32)).")
+
+
+def check_sign(disparity: Map, what: str) -> None:
+    """Raise ``BenchError`` where a map has disparities, but none above zero; all NaN passes."""
+    # NaN compares as false, so the first test also fails where nothing is known: only then is it worth a second look.
+    if not (disparity > 0).any() and np.isfinite(disparity).any():
+        finite = disparity[np.isfinite(disparity)]
+        raise BenchError(
+            f"{what} returned no disparity above zero (they reach from {finite.min():.4g} to {finite.max():.4g} px). "
+            "Is its sign wrong, or are left and right exchanged? The left pixel x matches the right pixel x - d, d > 0."
+        )

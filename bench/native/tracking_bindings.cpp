@@ -189,7 +189,7 @@ nb::tuple match_boxes(const Rows& uv, const Doubles& radius, const Doubles& octa
 }
 
 nb::tuple optimise_pose(const std::vector<double>& camera, const Rows& points, const Rows& measured, const Rows& T_cam_world, int rounds,
-                        int iterations) {
+                        int iterations, bool gate_first) {
     const size_t n = rows(points, 3, "points must have shape (M, 3)");
     require(rows(measured, 4, "measured must have shape (M, 4): u, v, disparity, weight") == n, "points and measured must have equal length");
     require(rows(T_cam_world, 4, "T_cam_world must have shape (4, 4)") == 4, "T_cam_world must have shape (4, 4)");
@@ -197,7 +197,7 @@ nb::tuple optimise_pose(const std::vector<double>& camera, const Rows& points, c
     std::vector<double> pose = pack_pose(T_cam_world.data()), out(16);
     std::vector<uint8_t> inlier(n);
     double squared = 0.0;
-    const bgs::PoseArgs args{camera_of(camera), points.data(), measured.data(), static_cast<int>(n), rounds, iterations, pose.data(), inlier.data(), &squared};
+    const bgs::PoseArgs args{camera_of(camera), points.data(), measured.data(), static_cast<int>(n), rounds, iterations, gate_first, pose.data(), inlier.data(), &squared};
     {
         nb::gil_scoped_release release;
         bgs::tracking().optimise_pose(args);
@@ -264,6 +264,7 @@ void bind_tracking(nb::module_& m) {
     m.def("refine_disparity", &refine_disparity, "left"_a, "right"_a, "octave"_a, "at_left"_a, "x_right"_a);
     m.def("match_boxes", &match_boxes, "uv"_a, "radius"_a, "octave"_a, "disparity"_a, "descriptors"_a, "keypoint_xy"_a, "keypoint_octave"_a,
           "keypoint_disparity"_a, "keypoint_descriptors"_a, "max_hamming"_a, "ratio"_a, "octave_tolerance"_a);
-    m.def("optimise_pose", &optimise_pose, "camera"_a, "points"_a, "measured"_a, "T_cam_world"_a, "rounds"_a, "iterations"_a);
+    m.def("optimise_pose", &optimise_pose, "camera"_a, "points"_a, "measured"_a, "T_cam_world"_a, "rounds"_a, "iterations"_a,
+          "gate_first"_a);
     m.def("bundle_adjust", &bundle, "camera"_a, "T_cam_world"_a, "fixed"_a, "points"_a, "keyframe"_a, "point"_a, "measured"_a, "iterations"_a);
 }

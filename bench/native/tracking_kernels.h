@@ -68,6 +68,7 @@ struct PoseArgs {
     const double *points, *measured;  // (M, 3) in the world; (M, 4)
     int count;
     int rounds, iterations;
+    bool gate_first;  // leave out from the beginning what is beyond its gate at the start
     double* pose;     // (12): R row by row, then t; in: start, out: result
     uint8_t* inlier;  // (M,): out
     double* squared;  // out: sum over inliers of the squared (u, v) residual

@@ -17,6 +17,7 @@ import sys
 import threading
 import traceback
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO
 
@@ -69,6 +70,11 @@ class Peer(ABC):
 
 def serve(peer: Peer) -> None:
     """Answer the bench until it closes the connection; does not return. Whatever the peer prints goes to the log."""
+    serve_messages(lambda message: _answer(peer, message))
+
+
+def serve_messages(answer_to: Callable[[Message], Message]) -> None:
+    """The same for a process that is no tracker: ``answer_to`` gives the answer to one message."""
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)
     requests: queue.Queue[Message] = queue.Queue()
@@ -77,7 +83,7 @@ def serve(peer: Peer) -> None:
     while code == 0:
         message = requests.get()
         try:
-            answer = _answer(peer, message)
+            answer = answer_to(message)
         except Exception as error:
             traceback.print_exc()
             answer, code = Message("refused", {"reason": f"{type(error).__name__}: {error}"}), 1

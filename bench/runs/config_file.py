@@ -16,7 +16,7 @@ from bench.runs.atomic import write_text
 CONFIG_FILE = "config.yaml"
 _HASH_LINE = "# bgs-bench run, config hash "
 _MISSING = object()
-NO_PART_OF_THE_RUN = ("output", "rerun", "plugins", "pipeline")
+NO_PART_OF_THE_RUN = ("output", "rerun", "plugins", "pipeline", "cache")
 """Settings that can't change a result: where a run lies and how it was started."""
 
 
@@ -52,7 +52,9 @@ def differing_keys(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
     first, second = dict(_flat(one, "")), dict(_flat(other, ""))
     keys = first.keys() | second.keys()
     return sorted(
-        key for key in keys if key not in NO_PART_OF_THE_RUN and first.get(key, _MISSING) != second.get(key, _MISSING)
+        key
+        for key in keys
+        if key.partition(".")[0] not in NO_PART_OF_THE_RUN and first.get(key, _MISSING) != second.get(key, _MISSING)
     )
 
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import os
 import platform
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 
 import bench
+from bench.weights.checksum import sha256_of as sha256_of
 
 _PACKAGES = (
     "bgs-slam-bench",
@@ -22,6 +23,8 @@ _PACKAGES = (
     "opencv-python-headless",
     "opencv-python",
     "onnxruntime",
+    "gtsam",
+    "pyorbslam3",
     "hydra-core",
     "omegaconf",
     "pandas",
@@ -33,11 +36,11 @@ _PACKAGES = (
 )
 
 
-def collect_provenance(config: dict[str, Any], seed: int) -> dict[str, Any]:
+def collect_provenance(config: dict[str, Any], seed: int, weights: Mapping[str, Path] | None = None) -> dict[str, Any]:
     """Everything that is needed to make a run again, as a plain dict for ``provenance.json``.
 
-    A missing git, checkout or GPU gives None, never an error. ``weights`` is filled in by what loads some
-    (``describe_weights``).
+    A missing git, checkout or GPU gives None, never an error. ``weights`` are the files that the run's networks use, by
+    what they are for; scoring adds its own later (``describe_weights``).
     """
     return {
         "git": _git_state(),
@@ -54,19 +57,13 @@ def collect_provenance(config: dict[str, Any], seed: int) -> dict[str, Any]:
             "torch_threads": torch.get_num_threads(),
             "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         },
-        "weights": {},
+        "weights": describe_weights(weights or {}),
     }
 
 
-def describe_weights(weights: dict[str, Path]) -> dict[str, dict[str, str]]:
+def describe_weights(weights: Mapping[str, Path]) -> dict[str, dict[str, str]]:
     """Name and SHA-256 of each file of network weights, by what it is for."""
     return {name: {"file": path.name, "sha256": sha256_of(path)} for name, path in weights.items()}
-
-
-def sha256_of(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _git_state() -> dict[str, Any] | None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from rich.console import Console, JustifyMethod
 from rich.table import Table
@@ -41,6 +41,10 @@ _STAMP = (
     "ssim",
     "lpips_net",
     "right_images_mapped",
+    "truth",
+    "images",
+    "averaging",
+    "holes",
 )
 
 
@@ -94,12 +98,12 @@ def print_table(rows: Sequence[Row], console: Console, columns: Sequence[Column]
         console.print(note, markup=False, highlight=False, soft_wrap=True)
 
 
-def as_markdown(rows: Sequence[Row]) -> str:
+def as_markdown(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> str:
     """A Markdown table with all columns, and below it how the numbers were made and why some are missing.
 
     The static camera's rows come last, in italics.
     """
-    columns = columns_with_values(rows)
+    columns = columns_with_values(rows, columns)
     lines = [
         "| " + " | ".join(_heading(column, " ") for column in columns) + " |",
         "|" + "|".join("---:" if _is_number(column) else "---" for column in columns) + "|",
@@ -113,26 +117,26 @@ def as_markdown(rows: Sequence[Row]) -> str:
     return "\n".join([*lines, *([""] if notes else []), *notes]) + "\n"
 
 
-def as_csv(rows: Sequence[Row]) -> str:
+def as_csv(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> str:
     """All columns with full digits, headed by their keys (the unit is in the key); empty where not known.
 
     The static camera's rows come last; they have that name in the column ``run``.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([column.key for column in COLUMNS] + ["protocol"])
+    writer.writerow([column.key for column in columns] + ["protocol"])
     for row in [*rows, *static_camera_rows(rows)]:
-        values = [row.values.get(column.key) for column in COLUMNS]
+        values = [row.values.get(column.key) for column in columns]
         writer.writerow(["" if value is None else value for value in values] + [row.protocol.get("name", "")])
     return text.getvalue()
 
 
-def as_latex(rows: Sequence[Row]) -> str:
+def as_latex(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> str:
     """A ``tabular`` with booktabs rules; needs ``\\usepackage{booktabs}``. Footnotes become comments.
 
     The static camera's rows come last, in italics below a rule.
     """
-    columns = columns_with_values(rows)
+    columns = columns_with_values(rows, columns)
     references = static_camera_rows(rows)
     alignment = "".join("r" if _is_number(column) else "l" for column in columns)
     lines = [f"% {note}" for note in footnotes(rows)]
@@ -153,10 +157,16 @@ def _latex_row(row: Row, columns: Sequence[Column]) -> str:
     return " & ".join(cells) + r" \\"
 
 
-WRITERS: dict[str, Callable[[Sequence[Row]], str]] = {".md": as_markdown, ".csv": as_csv, ".tex": as_latex}
+class Writer(Protocol):
+    """Makes the text of a table file of these rows and columns."""
+
+    def __call__(self, rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> str: ...
 
 
-def writer_for(path: Path) -> Callable[[Sequence[Row]], str]:
+WRITERS: dict[str, Writer] = {".md": as_markdown, ".csv": as_csv, ".tex": as_latex}
+
+
+def writer_for(path: Path) -> Writer:
     """The writer that goes with a file's extension; raises ``BenchError`` for another extension."""
     if path.suffix not in WRITERS:
         raise BenchError(

@@ -10,15 +10,21 @@ from bench.geometry import se3
 from bench.tracking.features import Ints
 from bench.tracking.local_map import LocalMap, View
 from bench.tracking.matching import match_boxes
-from bench.tracking.pose_optimization import PoseEstimate, optimise_pose
+from bench.tracking.pose_optimization import Observations, PoseEstimate, optimise_pose
 from bench.tracking.relocalise import match_descriptors, pose_by_pnp
-from bench.types import Float, StereoCamera
+from bench.types import Float, Mask, StereoCamera
 
 _WIDE_RADIUS, _NARROW_RADIUS = 12.0, 4.0
 """Search radii in pixels of the octave: around the predicted pose, and around the pose optimised once."""
 _WIDE_SEARCHES = 5
 _SETTLED_BASELINES, _SETTLED_DEG = 0.5, 1.0
 """After a search that moved the pose farther than this, near points were outside their radius: search again."""
+_PROVEN_FRAMES = 3
+"""Frames in which a map point must have agreed with the pose to be proven."""
+_LEAST_PROVEN = 10
+"""Matches of proven points that are enough to begin with."""
+_PROVEN_WORTH = 5
+"""Inliers that a proven point is worth when two poses are compared."""
 _MAX_HAMMING = 80
 _RATIO, _FALLBACK_RATIO = 0.85, 0.9
 _DOUBTFUL_SHARE = 0.8
@@ -28,16 +34,23 @@ pose finds dozens of consistent matches (share 0.73 on a street, against 0.85 an
 
 @dataclass(frozen=True)
 class Matches:
-    """Rows of map points and keypoints (M,) that belong together, with the pose that they gave."""
+    """Rows of map points and keypoints (M,) that belong together, with the pose that they gave; ``proven`` (M,) are the
+    points that have stood still for some frames."""
 
     rows: Ints
     keypoints: Ints
     estimate: PoseEstimate
+    proven: Mask
 
     @property
     def count(self) -> int:
         """Number of inliers."""
         return int(self.estimate.inliers.sum())
+
+    @property
+    def evidence(self) -> int:
+        """Inliers, proven points counted several times: what to compare two poses by."""
+        return self.count + _PROVEN_WORTH * int((self.estimate.inliers & self.proven).sum())
 
     @property
     def doubtful(self) -> bool:
@@ -66,7 +79,7 @@ class Localiser:
             return found
         pose = self._pose_from_descriptors(view)
         other = None if pose is None else self._around(view, pose)
-        if found is None or (other is not None and other.count > found.count):
+        if found is None or (other is not None and other.evidence > found.evidence):
             return other
         return found
 
@@ -103,9 +116,20 @@ class Localiser:
         query, keypoint = match_boxes(
             uv[rows], reach, octave, disparity, descriptors, view.features, view.disparity, _MAX_HAMMING, _RATIO
         )
-        matched = rows[query]
-        estimate = optimise_pose(camera, points.position[matched], view.observations(keypoint), T)
-        return Matches(matched, keypoint, estimate)
+        rows = rows[query]
+        proven = points.found[rows] >= _PROVEN_FRAMES
+        estimate = self._optimised(points.position[rows], view.observations(keypoint), proven, T)
+        return Matches(rows, keypoint, estimate, proven)
+
+    def _optimised(self, position: Float, observed: Observations, proven: Mask, T: Float) -> PoseEstimate:
+        """Pose from matches; points that have stood still for some frames say which of the others may join in.
+
+        A lorry alongside can fill more of the image than the street does, and its points agree with each other.
+        """
+        if proven.sum() < _LEAST_PROVEN:
+            return optimise_pose(self._camera, position, observed, T)
+        first = optimise_pose(self._camera, position[proven], observed.take(proven), T)
+        return optimise_pose(self._camera, position, observed, first.T_cam_world, gate_first=True)
 
     def _pose_from_descriptors(self, view: View) -> Float | None:
         row, keypoint = match_descriptors(self._map.points.descriptor, view.features.descriptors, _FALLBACK_RATIO)

@@ -45,7 +45,8 @@ class OdometrySettings:
 @dataclass(frozen=True)
 class FramePose:
     """Result for one frame; ``T_world_cam`` is None when lost. ``keyframe`` and ``T_keyframe_cam`` let the pose follow
-    later corrections of its reference keyframe; keyframe -1 = it hangs on none."""
+    later corrections of its reference keyframe; keyframe -1 = it hangs on none. "weak" with inliers: located, but many
+    matches disagree; "weak" without: predicted, or the beginning of a new map."""
 
     state: TrackingState
     T_world_cam: Float | None
@@ -170,7 +171,8 @@ class StereoOdometry:
             self._reference_inliers = int((self._map.keyframes[-1].point_ids >= 0).sum())
             T_cam_world = self._map.keyframes[-1].T_cam_world
         T_world_cam = se3.orthonormalise(se3.inverse(T_cam_world))
-        return self._result("ok", T_world_cam, landmarks, matches.count, matches.estimate.rms_px)
+        state: TrackingState = "weak" if matches.doubtful else "ok"
+        return self._result(state, T_world_cam, landmarks, matches.count, matches.estimate.rms_px)
 
     def _needs_keyframe(self, T_cam_world: Float, inliers: int) -> bool:
         motion = self._map.keyframes[-1].T_cam_world @ se3.inverse(T_cam_world)
@@ -227,8 +229,8 @@ class StereoOdometry:
         return FramePose(state, T_world_cam, keyframe, relative, inliers, rms_px, ids)
 
     def _remember(self, result: FramePose, predicted: Float, elapsed: float) -> None:
-        if result.state == "ok":
-            assert result.T_world_cam is not None
+        located = result.state == "ok" or result.inliers > 0
+        if located and result.T_world_cam is not None:
             if elapsed > 0 and self._failures == 0:
                 self._velocity = se3.log(se3.inverse(self._T_world_cam) @ result.T_world_cam) / elapsed
                 self._velocity_known = True

@@ -77,16 +77,21 @@ class PoseEstimate:
     rms_px: float
 
 
-def optimise_pose(camera: StereoCamera, points: Float, observed: Observations, T_cam_world: Float) -> PoseEstimate:
+def optimise_pose(
+    camera: StereoCamera, points: Float, observed: Observations, T_cam_world: Float, gate_first: bool = False
+) -> PoseEstimate:
     """Gauss-Newton over the pose of one frame, from ``T_cam_world`` (4, 4); ``points`` (M, 3) in the world stay fixed.
 
     Residuals are measured minus projected (uL, v, uR) in pixels; without disparity the third is left out. Paper, Eq.
     "frame-level BA". Rounds of iterations with Huber's loss; after each round the observations beyond their chi-square
-    gate are put aside (and may come back). The last round has no robust loss. Never fails: with too few inliers (the
-    caller checks) the pose is whatever was found.
+    gate are put aside (and may come back). The last round has no robust loss. With ``gate_first`` they are put aside
+    from the beginning: for a start that is already good, where most observations may be wrong. Never fails: with too
+    few inliers (the caller checks) the pose is whatever was found.
     """
     numbers = camera_numbers(camera)
-    T, inliers, squared = _native.optimise_pose(numbers, points, observed.table, T_cam_world, _ROUNDS, _ITERATIONS)
+    T, inliers, squared = _native.optimise_pose(
+        numbers, points, observed.table, T_cam_world, _ROUNDS, _ITERATIONS, gate_first
+    )
     inliers = inliers.astype(bool)
     count = int(inliers.sum())
     return PoseEstimate(se3.orthonormalise(T), inliers, float(np.sqrt(squared / count)) if count else float("nan"))

@@ -29,6 +29,8 @@ class ImageEvaluator(Evaluator):
 
     def evaluate(self, run: SavedRun) -> dict[str, Any]:
         """``views.<group>`` with n, psnr_db, ssim, lpips (means of per-image values); absent groups have no view."""
+        if not (run.rendered("left") or run.rendered("right")):
+            return {"views": {}, "notes": {"image": "the run saved no renders"}}
         lpips, about_lpips = _lpips_of(run)
         scores = _score_views(run, lpips)
         for (view, number), values in scores.items():
@@ -41,8 +43,6 @@ class ImageEvaluator(Evaluator):
                 views[group] = {"n": len(of_group)} | {
                     metric: _mean([values[metric] for values in of_group]) for metric in of_group[0]
                 }
-        if not scores:
-            about_lpips.setdefault("notes", {})["image"] = "the run saved no renders"
         return {"views": views, **about_lpips}
 
 

@@ -20,8 +20,18 @@ class ResourcesEvaluator(Evaluator):
         self.config = config
 
     def evaluate(self, run: SavedRun) -> dict[str, Any]:
-        """``resources`` with the four measured values; None and a note when the run stopped before it saved them."""
+        """``resources`` with the measured values; None and a note when the run stopped before it saved them.
+
+        Another note says when depth came from the disk cache: its seconds are those of when it was computed.
+        """
         if not (run.path / RESOURCES_FILE).is_file():
             note = "the run stopped before it saved its resources"
             return {"resources": dict.fromkeys(REPORTED), "notes": {"resources": note}}
-        return {"resources": {name: run.resources.get(name) for name in REPORTED}}
+        metrics: dict[str, Any] = {"resources": {name: run.resources.get(name) for name in REPORTED}}
+        cached = run.resources.get("stereo_cached_frames")
+        if cached:
+            metrics["notes"] = {
+                "resources": f"stereo or sky of {cached} frames came from the cache: stereo time is that of computing "
+                "them, recorded then; wall time and peak memory are without it (cache.enabled=false measures all)"
+            }
+        return metrics

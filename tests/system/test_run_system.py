@@ -15,6 +15,7 @@ import torch
 
 from bench.config import compose_run
 from bench.errors import BenchError
+from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.folder import RunFolder
 from bench.system import run_system
 from bench.types import Keyframe, MappingReport
@@ -167,3 +168,18 @@ def test_the_oracle_can_map_too(tmp_path: Path) -> None:
 
 def test_one_frame_is_a_run(tmp_path: Path) -> None:
     assert state_of(run(tmp_path / "run", "tracker=groundtruth", "dataset.frames=1").path) == ("done", "", 1)
+
+
+def test_a_run_without_a_map_tracks_and_computes_no_stereo(tmp_path: Path) -> None:
+    folder = run_system(compose_run([*TINY[:3], "mapper=none", f"output={tmp_path / 'run'}"]))
+    frames = pd.read_csv(folder.path / "frames.csv")
+    assert state_of(folder.path) == ("done", "", 5)
+    assert frames["is_keyframe"].any()
+    assert not frames["mapped"].any()
+    assert (frames["stereo_s"] == 0).all()
+    assert not (folder.path / "views").exists()
+    assert not (folder.path / "map.ply").exists()
+    metrics = evaluate_run(folder.path)
+    assert metrics["trajectory"]["n"] == 5
+    assert metrics["notes"]["image"] == "the run saved no renders"
+    assert "lpips" not in metrics["notes"]

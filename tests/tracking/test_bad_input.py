@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.tracking.features import Features, OrbExtractor
+from bench.registry import lookup
+from bench.tracking.features import Features, OrbExtractor, grey
+from bench.tracking.odometry import StereoOdometry
 from bench.tracking.pair_check import fault_of_pair
 
 
@@ -47,7 +49,8 @@ def test_jump_of_five_metres(drive: Any, odometry: Any) -> None:
     positions = [0, 1, 2, 3, 4, 9, 10, 11, 12]
     results = run(odometry(), [drive.pairs[i] for i in positions])
     assert states(results) == "o" * 9
-    np.testing.assert_allclose([r.T_world_cam[:3, 3] for r in results], drive.poses[positions, :3, 3], atol=0.15)
+    # At 292 pixels focal length, the points of one stereo pair 25 m ahead are known to a metre: hence half a metre.
+    np.testing.assert_allclose([r.T_world_cam[:3, 3] for r in results], drive.poses[positions, :3, 3], atol=0.6)
 
 
 def test_swapped_images_are_named_once(drive: Any, odometry: Any, caplog: pytest.LogCaptureFixture) -> None:
@@ -100,3 +103,16 @@ def test_right_image_black_after_a_while(drive: Any, odometry: Any) -> None:
     for i, result in enumerate(results):
         if result.state == "ok":
             np.testing.assert_allclose(result.T_world_cam[:3, 3], drive.poses[i, :3, 3], atol=0.5)
+
+
+@pytest.mark.slow
+def test_lorry_that_hides_half_of_the_street(settings: Any) -> None:
+    """In an image this small its points outnumber those of the street: the pose may follow it, but not silently."""
+    plugin = lookup("dataset", "street")
+    config = plugin.config(name="street", frames=26, width=512, height=192, truck=True, truck_frames=(12, 20))
+    street = plugin.cls(config)
+    frames = [street.frame(i) for i in range(26)]
+    results = run(StereoOdometry(street.camera, settings), [(grey(f.left), grey(f.right)) for f in frames])
+    truth = street.ground_truth().T_world_cam[:, :3, 3]
+    far = [i for i, r in enumerate(results) if r.state == "ok" and np.abs(r.T_world_cam[:3, 3] - truth[i]).max() > 1.0]
+    assert not far or set(states(results)[: far[0] + 1]) & set("wl")

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.errors import BenchError
 from bench.geometry import se3
 from bench.tracking.features import Ints
 from bench.tracking.local_map import KeyframeRecord, View
@@ -14,6 +13,7 @@ from bench.tracking.loops.hypotheses import Match, Run, rival_of
 from bench.tracking.loops.odometry_chain import OdometryChain
 from bench.tracking.loops.places import Place, PlaceIndex, WordVector, best_places, similarity, word_vector
 from bench.tracking.loops.pose_graph import Edge, Graph, import_gtsam, optimise
+from bench.tracking.loops.settings import LoopSettings
 from bench.tracking.loops.verification import Verified, close, verify
 from bench.tracking.loops.vocabulary import Vocabulary, train
 from bench.types import Float, Mask, StereoCamera
@@ -33,47 +33,9 @@ _SLACK_M = 1.0
 """What a loop may move the camera by in any case."""
 _KNOWN_ROAD_PLACES = 2
 """On a road that a closed loop has tied down, one place in so many is matched."""
-_REFINE_MATCHES, _REFINE_M, _REFINE_DEG = 3, 0.15, 0.3
+_REFINE_MATCHES, _REFINE_M, _REFINE_DEG = 3, 0.25, 0.5
 """After so many more matches the pose graph is solved again if poses are off by this; after three times as many,
 anyway."""
-
-
-@dataclass(frozen=True)
-class LoopSettings:
-    """When two places count as the same."""
-
-    place_spacing_m: float = 2.0
-    """A tracker keyframe becomes a place after so many metres since the last place ..."""
-    place_rotation_deg: float = 10.0
-    """... or after this rotation."""
-    training_places: int = 30
-    """Without a vocabulary file, one is trained as soon as there are so many places."""
-    min_similarity: float = 0.3
-    """Least similarity of a candidate, as a share of the similarity with the place before (as in DBoW2)."""
-    min_inliers: int = 30
-    """Matched points that must agree on the pose between two places, in both directions."""
-    min_matches: int = 3
-    """Places in a row that must be found again, in agreement with the odometry, before a loop is closed."""
-    min_way_m: float = 30.0
-    """Shorter loops are not looked for: such places still see each other."""
-    max_drift: float = 0.05
-    """Loops that say that the odometry is off by more than this share of the way between are not believed."""
-
-    def check(self, prefix: str) -> None:
-        """Raise ``BenchError`` for a value that makes no sense; ``prefix`` is where the user sets it."""
-        least = {
-            "place_spacing_m": 0.0,
-            "place_rotation_deg": 0.0,
-            "training_places": 2,
-            "min_similarity": 0.0,
-            "min_inliers": 15,
-            "min_matches": 1,
-            "min_way_m": 0.0,
-            "max_drift": 0.0,
-        }
-        for key, value in least.items():
-            if not getattr(self, key) >= value:
-                raise BenchError(f"{prefix}.{key}={getattr(self, key)} is too small; the least is {value}.")
 
 
 @dataclass(frozen=True)
@@ -98,7 +60,7 @@ class LoopCloser:
     After Galvez-Lopez and Tardos (T-RO 2012) for finding places and Mur-Artal and Tardos (ORB-SLAM2, 2017) for the
     whole; the number of inliers alone accepts false loops where facades repeat, so matches must also agree with each
     other and the odometry, and the pose graph may still refuse them. Deterministic. With ``closing`` False places are
-    only kept for ``relocalise``.
+    only kept for ``relocalise``. A place takes about 50 kB (1000 keypoints), so 5 km of road take 100 MB or so.
     """
 
     def __init__(
@@ -106,16 +68,18 @@ class LoopCloser:
         camera: StereoCamera,
         settings: LoopSettings,
         least_disparity: float,
+        scale_factor: float,
         vocabulary: Vocabulary | None,
         closing: bool,
     ) -> None:
-        """``least_disparity`` in pixels: farther keypoints are no part of a place. Raises ``BenchError`` when
-        ``closing`` without gtsam."""
+        """``least_disparity`` in pixels: farther keypoints are no part of a place; ``scale_factor`` from octave to
+        octave. Raises ``BenchError`` when ``closing`` without gtsam."""
         if closing:
             import_gtsam()
         self._camera = camera
         self._set = settings
         self._least_disparity = least_disparity
+        self._scale_factor = scale_factor
         self._closing = closing
         self._vocabulary = vocabulary
         self._index = PlaceIndex(len(vocabulary)) if vocabulary is not None else None
@@ -135,7 +99,8 @@ class LoopCloser:
         self._relocalised_at = None
         if not self._is_new_place(poses):
             return None
-        self._places.append(Place.of(keyframe.view, keyframe.index, self._least_disparity))
+        place = Place.of(keyframe.view, keyframe.index, self._least_disparity, self._scale_factor)
+        self._places.append(place)
         similarities = self._enter_index()
         self._at_places = poses[self._keyframes()]
         if similarities is None or not self._closing:
@@ -146,7 +111,7 @@ class LoopCloser:
     def relocalise(self, view: View) -> tuple[int, Float] | None:
         """The keyframe whose place the view (of a lost camera) shows, and the pose T_keyframe_cam (4, 4); else None."""
         self._relocalised_at = None
-        here = Place.of(view, -1, self._least_disparity)
+        here = Place.of(view, -1, self._least_disparity, self._scale_factor)
         if len(here) < self._set.min_inliers or not self._places:
             return None
         found: list[tuple[int, Verified]] = []

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from bench.tracking.features import Descriptors, Ints
+from bench.tracking.features import Descriptors, Features, Ints
 from bench.tracking.local_map import View
 from bench.tracking.loops.vocabulary import Vocabulary
 from bench.tracking.matching import expand_ranges
@@ -20,35 +20,43 @@ _BLOCK = 128
 
 @dataclass(frozen=True)
 class Place:
-    """What a keyframe leaves behind: its N keypoints with stereo depth, about 60 bytes each.
+    """What a keyframe leaves behind: its N keypoints with stereo depth, 45 bytes each.
 
-    ``xy`` (N, 2) float32 pixels, ``disparity`` (N,) float32 pixels, ``weight`` (N,) float32 in 1/px^2, ``descriptors``
-    (N, 4) uint64. Disparities below ``least_disparity`` place points but are no measurements (see ``View``).
+    ``xy`` (N, 2) float32 pixels, ``octave`` (N,) int8, ``disparity`` (N,) float32 pixels, ``descriptors`` (N, 4)
+    uint64. Octaves differ by ``scale_factor``. Disparities below ``least_disparity`` place points but are no
+    measurements (see ``View``).
     """
 
     keyframe: int
     xy: npt.NDArray[np.float32]
+    octave: npt.NDArray[np.int8]
     disparity: npt.NDArray[np.float32]
-    weight: npt.NDArray[np.float32]
     descriptors: Descriptors
     least_disparity: float
+    scale_factor: float
 
     @classmethod
-    def of(cls, view: View, keyframe: int, least_disparity: float) -> Place:
+    def of(cls, view: View, keyframe: int, least_disparity: float, scale_factor: float) -> Place:
         """The keypoints of a view whose disparity is at least ``least_disparity`` pixels (farther ones say little)."""
         with np.errstate(invalid="ignore"):
             near = np.flatnonzero(view.disparity >= least_disparity)
         return cls(
             keyframe,
             view.features.xy[near].astype(np.float32),
+            view.features.octave[near].astype(np.int8),
             view.disparity[near].astype(np.float32),
-            view.weight[near].astype(np.float32),
             view.features.descriptors[near],
             view.least_disparity,
+            scale_factor,
         )
 
     def __len__(self) -> int:
         return len(self.xy)
+
+    @property
+    def features(self) -> Features:
+        """The keypoints (N) in the types of the tracker."""
+        return Features(self.xy.astype(np.float64), self.octave.astype(np.int64), self.descriptors)
 
     def points(self, camera: StereoCamera, chosen: Ints) -> Float:
         """Positions (M, 3), in metres in the camera's frame, of the chosen (M,) keypoints."""
@@ -60,7 +68,8 @@ class Place:
         """Measurements of the chosen (M,) keypoints."""
         disparity = self.disparity[chosen].astype(np.float64)
         disparity = np.where(disparity < self.least_disparity, np.nan, disparity)
-        return Observations(self.xy[chosen].astype(np.float64), disparity, self.weight[chosen].astype(np.float64))
+        weight = np.asarray(self.scale_factor ** (-2.0 * self.octave[chosen]), dtype=np.float64)
+        return Observations(self.xy[chosen].astype(np.float64), disparity, weight)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.geometry import se3
+from bench.tracking.features import Ints
 from bench.tracking.loops.places import Place
+from bench.tracking.matching import match_boxes
 from bench.tracking.pose_optimization import (
     Observations,
     PoseEstimate,
@@ -18,7 +20,11 @@ from bench.tracking.pose_optimization import (
 from bench.tracking.relocalise import match_descriptors, pose_by_pnp
 from bench.types import Float, StereoCamera
 
-_RATIO = 0.8
+_RATIO = 0.85
+_LEAST_MATCHES = 15
+_RADIUS_PX, _MAX_HAMMING, _GUIDED_RATIO = 6.0, 64, 0.9
+"""Of the matches around the first pose: search radius in pixels of the octave, most differing bits, Lowe's ratio."""
+_NEAR_M = 0.5
 _CELLS = (6, 3)
 """Columns and rows of the grid by which the spread of inliers is judged."""
 _LEAST_CELLS = 5
@@ -42,18 +48,21 @@ class Verified:
 def verify(camera: StereoCamera, old: Place, new: Place, min_inliers: int) -> Verified | None:
     """Match two places and find the pose between them; None unless both directions find it with enough inliers.
 
-    PnP with RANSAC gives a first pose; then the new camera is fitted to the old camera's points and the old camera to
-    the new one's, on their stereo measurements. The two must agree, and the inliers must not all lie in one corner of
-    the image: a single repeated window is not a place.
+    PnP with RANSAC gives a first pose, around which more matches are found; then the new camera is fitted to the old
+    camera's points and the old camera to the new one's, on their stereo measurements. The two must agree, and the
+    inliers must not all lie in one corner of the image: a single repeated window is not a place.
     """
     at_old, at_new = match_descriptors(old.descriptors, new.descriptors, _RATIO)
+    if len(at_old) < _LEAST_MATCHES:
+        return None
+    start = pose_by_pnp(camera, old.points(camera, at_old), new.observations(at_new).uv)
+    if start is None:
+        return None
+    at_old, at_new = _match_around(camera, old, new, start)
     if len(at_old) < min_inliers:
         return None
     old_points, new_points = old.points(camera, at_old), new.points(camera, at_new)
     seen_by_new, seen_by_old = new.observations(at_new), old.observations(at_old)
-    start = pose_by_pnp(camera, old_points, seen_by_new.uv)
-    if start is None:
-        return None
     forward = optimise_pose(camera, old_points, seen_by_new, start)
     backward = optimise_pose(camera, new_points, seen_by_old, se3.inverse(forward.T_cam_world))
     inliers = forward.inliers & backward.inliers
@@ -66,6 +75,28 @@ def verify(camera: StereoCamera, old: Place, new: Place, min_inliers: int) -> Ve
         return None
     T_old_new = se3.orthonormalise(forward_T @ se3.exp(0.5 * se3.log(difference)))
     return Verified(T_old_new, _covariance(camera, forward, old_points, seen_by_new), count)
+
+
+def _match_around(camera: StereoCamera, old: Place, new: Place, T_new_old: Float) -> tuple[Ints, Ints]:
+    """Indices (M,), (M,) of keypoints of the two places that match where the pose says that they should."""
+    points = old.points(camera, np.arange(len(old)))
+    in_new = points @ T_new_old[:3, :3].T + T_new_old[:3, 3]
+    ahead = np.flatnonzero(in_new[:, 2] > _NEAR_M)
+    points, in_new = points[ahead], in_new[ahead]
+    nearer = np.linalg.norm(points, axis=1) / np.linalg.norm(in_new, axis=1)
+    octave = old.octave[ahead] + np.log(nearer) / np.log(old.scale_factor)
+    at_old, at_new = match_boxes(
+        in_new[:, :2] / in_new[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy),
+        _RADIUS_PX * old.scale_factor ** np.maximum(octave, 0.0),
+        octave,
+        camera.fx * camera.baseline / in_new[:, 2],
+        old.descriptors[ahead],
+        new.features,
+        new.disparity.astype(np.float64),
+        _MAX_HAMMING,
+        _GUIDED_RATIO,
+    )
+    return ahead[at_old], at_new
 
 
 def close(difference: Float, distance_m: float, angle_deg: float) -> bool:

@@ -68,7 +68,7 @@ def test_best_places_groups_neighbours() -> None:
 def test_a_place_keeps_near_keypoints_and_their_points(make_road: Any, road_camera: Any) -> None:
     road = make_road()
     view = road.view(20.0, np.random.default_rng(2))
-    place = Place.of(view, 3, least_disparity=road_camera.fx * road_camera.baseline / 20.0)
+    place = Place.of(view, 3, road_camera.fx * road_camera.baseline / 20.0, 1.2)
     assert 50 < len(place) < np.isfinite(view.disparity).sum()
     everything = np.arange(len(place))
     points = place.points(road_camera, everything)

@@ -19,7 +19,7 @@ def road(make_road: Any) -> Any:
 
 
 def place(road: Any, s: float, seed: int) -> Place:
-    return Place.of(road.view(s, np.random.default_rng(seed)), 0, road.camera.fx / 100)
+    return Place.of(road.view(s, np.random.default_rng(seed)), 0, road.camera.fx / 100, 1.2)
 
 
 def test_the_pose_between_two_views_of_a_place(road: Any) -> None:
@@ -58,13 +58,13 @@ def test_a_repeated_facade_alone_passes_here_so_that_the_rest_has_something_to_c
 def test_inliers_in_one_corner_are_no_place(road: Any) -> None:
     old, new = place(road, 50.0, 1), place(road, 50.5, 2)
     corner = np.flatnonzero((new.xy[:, 0] < 200) & (new.xy[:, 1] < 128))
-    arrays = {name: getattr(new, name)[corner] for name in ("xy", "disparity", "weight", "descriptors")}
+    arrays = {name: getattr(new, name)[corner] for name in ("xy", "octave", "disparity", "descriptors")}
     assert verify(road.camera, old, replace(new, **arrays), 15) is None
     assert verify(road.camera, old, new, 15) is not None
 
 
 def test_too_few_keypoints(road: Any) -> None:
     full = place(road, 50.0, 1)
-    empty = replace(full, **{name: getattr(full, name)[:0] for name in ("xy", "disparity", "weight", "descriptors")})
+    empty = replace(full, **{name: getattr(full, name)[:0] for name in ("xy", "octave", "disparity", "descriptors")})
     assert verify(road.camera, full, empty, 30) is None
     assert verify(road.camera, empty, full, 30) is None

@@ -1,0 +1,203 @@
+"""The contract of a rasterizer: images and gradients like those of the float64 reference, and a case worked by hand."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bench import registry
+from bench.authoring.random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, relative_l2, render_and_back
+from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
+from bench.contracts.rasterizer import Gradients, PinholeView, Rasterizer, Rendered
+from bench.mapping.gaussians import PLANES, planes_from
+
+_SCENES = (SceneSpec(1, 150, 70, 41, 1.2, (0.05, 0.5)), SceneSpec(4, 150, 33, 17, 6.0, (0.6, 0.99)))
+# Isolated pixels may differ: an alpha just above 1/255 in one implementation is just below it in another.
+_QUANTILE, _IMAGE_TOLERANCE = 0.99, 2e-3
+_GRADIENT_TOLERANCE = 0.02
+_IMAGES = ("color", "depth", "alpha")
+
+
+@dataclass
+class Subject:
+    """The rasterizer under test and the reference it is compared with."""
+
+    candidate: Candidate
+
+    @cached_property
+    def rasterizer(self) -> Any:
+        return self.candidate.build()
+
+    @cached_property
+    def reference(self) -> Rasterizer:
+        known = registry.lookup("rasterizer", "reference")
+        return registry.build(known.config(name="reference"), "rasterizer")
+
+    def render(self, planes: Tensor, view: PinholeView, differentiable: bool = True) -> Rendered:
+        """One render, checked for its form, with images on the CPU and the context untouched."""
+        answer = self.rasterizer.render(planes.to(self.rasterizer.device), view, differentiable)
+        size = (view.height, view.width)
+        for name, shape in (("color", (3, *size)), ("depth", size), ("alpha", size)):
+            image = getattr(answer, name, None)
+            if not isinstance(image, Tensor) or tuple(image.shape) != shape or image.dtype != torch.float32:
+                got = f"{image.dtype} {tuple(image.shape)}" if isinstance(image, Tensor) else type(image).__name__
+                raise ContractBrokenError(
+                    f"render(): {name} is {got}",
+                    f"float32 tensor {shape}",
+                    "Rendered(color, depth, alpha, context)",
+                    "render",
+                )
+        return answer
+
+    def both_ways(self, planes: Tensor, view: PinholeView) -> tuple[Rendered, Gradients]:
+        """Forward and backward with made-up gradients of a loss."""
+        device = self.rasterizer.device
+        grads = tuple(grad.to(device) for grad in image_gradients(view, 1))
+        rendered = self.render(planes, view)
+        return rendered, self.rasterizer.backward(rendered, *grads, pose=True)
+
+
+def _by_hand(subject: Subject) -> str:
+    """Two balls on the optical axis: variance (40 * 0.2 / 4)^2 + 0.3 = 4.3 px^2, opacity 0.6 before 0.5."""
+    view = PinholeView(np.eye(4), 40.0, 40.0, 10.0, 8.0, 21, 17)
+    means, sizes = torch.tensor([[0.0, 0, 6], [0, 0, 4]]), torch.tensor([[0.3] * 3, [0.2] * 3])
+    colors = torch.tensor([[0.0, 1, 0], [1, 0, 0]])
+    planes = planes_from(means, sizes, torch.tensor([[1.0, 0, 0, 0]] * 2), torch.tensor([0.5, 0.6]), colors)
+    image = subject.render(planes, view)
+    found = [*image.color[:, 8, 10].tolist(), float(image.depth[8, 10]), float(image.alpha[8, 10])]
+    expected = [0.6, 0.2, 0.0, 4 * 0.6 + 6 * 0.2, 0.8]
+    if not np.allclose(found, expected, atol=1e-3):
+        raise ContractBrokenError(
+            f"0.6 of red at 4 m before 0.5 of green at 6 m: colour, depth, alpha are {np.round(found, 3).tolist()}",
+            f"{np.round(expected, 3).tolist()}: blended front to back, depth = sum d alpha T, no background",
+            "sort by depth, nearest first; do not divide depth by alpha; pixel centres are integers",
+            "render",
+        )
+    falloff = float(image.alpha[8, 12])
+    near, far = 0.6 * np.exp(-0.5 * 4 / 4.3), 0.5 * np.exp(-0.5 * 4 / 4.3)
+    if abs(falloff - (near + (1 - near) * far)) > 2e-3:
+        raise ContractBrokenError(
+            f"two pixels beside the middle alpha is {falloff:.4f}",
+            f"{near + (1 - near) * far:.4f}: alpha = opacity exp(-d^2 / 2 variance), variance (f sigma/z)^2 + 0.3 px^2",
+            "add the 0.3 px^2 low-pass; log scales are of standard deviations",
+            "render",
+        )
+    return "two balls on the optical axis, blended as worked by hand"
+
+
+def _images(subject: Subject) -> str:
+    worst = 0.0
+    for spec in _SCENES:
+        planes, view = random_scene(spec)
+        found, true = subject.render(planes, view), subject.reference.render(planes.double(), view)
+        for name in _IMAGES:
+            truth = getattr(true, name)
+            error = (getattr(found, name).cpu().double() - truth).abs() / max(float(truth.abs().max()), 1.0)
+            quantile = float(torch.quantile(error.flatten(), _QUANTILE))
+            worst = max(worst, quantile)
+            if quantile > _IMAGE_TOLERANCE:
+                raise ContractBrokenError(
+                    f"{name} of {spec.count} random Gaussians at {spec.width}x{spec.height}: {_QUANTILE:.0%} quantile "
+                    f"of the relative error {quantile:.2g}",
+                    f"at most {_IMAGE_TOLERANCE:g} against rasterizer=reference (float64)",
+                    "thresholds: nearest depth 0.2 m, alpha 1/255 to 0.999, transmittance 1e-4; colours are clamped at "
+                    "0, not at 1; quaternions are w x y z, of any length",
+                    "render",
+                )
+    return f"{_QUANTILE:.0%} quantile of the relative error at most {worst:.1g} against rasterizer=reference"
+
+
+def _gradients(subject: Subject) -> str:
+    worst = 0.0
+    for spec in _SCENES:
+        planes, view = random_scene(spec)
+        _, found = subject.both_ways(planes, view)
+        if not isinstance(found, Gradients) or tuple(found.planes.shape) != tuple(planes.shape) or found.twist is None:
+            raise ContractBrokenError(
+                f"backward() gave {type(found).__name__} of other shapes",
+                f"Gradients: planes {tuple(planes.shape)}, touched ({spec.count},) bool, twist (6,) when pose is True",
+                "return Gradients(planes, touched, twist)",
+                "backward",
+            )
+        double = tuple(grad.double() for grad in image_gradients(view, 1))
+        _, true = render_and_back(subject.reference, planes.double(), view, double)  # type: ignore[arg-type]
+        errors = {group: relative_l2(found.planes[rows].cpu(), true.planes[rows]) for group, rows in GROUPS.items()}
+        assert true.twist is not None
+        errors["twist"] = relative_l2(found.twist.cpu(), true.twist)
+        worst = max(worst, *errors.values())
+        name = max(errors, key=lambda group: errors[group])
+        if errors[name] > _GRADIENT_TOLERANCE:
+            raise ContractBrokenError(
+                f"the gradient by {name} differs by {errors[name]:.2g} (relative L2) from the reference's",
+                f"at most {_GRADIENT_TOLERANCE:g}",
+                "the conic's off-diagonal counts twice; no gradient where alpha is clamped; the twist perturbs p_cam "
+                "from the left, translation first",
+                "backward",
+            )
+    return f"by {', '.join(GROUPS)} and twist: relative L2 at most {worst:.1g}"
+
+
+def _nothing_to_see(subject: Subject) -> str:
+    _, view = random_scene(_SCENES[1])
+    behind = torch.zeros(PLANES, 1)
+    behind[:3, 0] = torch.from_numpy(np.linalg.inv(view.T_cam_world) @ [0.1, 0.1, -3.0, 1.0])[:3].float()
+    behind[6] = 1.0
+    for planes in (torch.zeros(PLANES, 0), behind):
+        rendered, grads = subject.both_ways(planes, view)
+        largest = max(float(getattr(rendered, name).abs().max()) for name in _IMAGES)
+        if largest > 0 or float(grads.planes.abs().sum()) > 0:
+            raise ContractBrokenError(
+                f"with {planes.shape[1]} Gaussians, none in view, something is drawn or has a gradient",
+                "black images, alpha 0, zero gradients",
+                "nearest depth is 0.2 m in front of the camera",
+                "render",
+            )
+    return "no Gaussian, or one behind the camera: black, zero gradients"
+
+
+def _repeats(subject: Subject) -> str | Note:
+    planes, view = random_scene(_SCENES[0])
+    kept = planes.clone()
+    (first, by_first), (second, by_second) = subject.both_ways(planes, view), subject.both_ways(planes, view)
+    if not torch.equal(planes, kept):
+        raise ContractBrokenError(
+            "the planes were changed in place", "inputs stay as they are", "work on a copy", "render"
+        )
+    if not all(torch.equal(getattr(first, name), getattr(second, name)) for name in _IMAGES):
+        raise ContractBrokenError(
+            "two renders differ", "the same bits", "blend in a fixed order, without atomics", "render"
+        )
+    if not torch.equal(by_first.planes, by_second.planes):
+        return Note("images are the same bits twice, gradients are not (atomics?): maps can't be repeated to the bit")
+    quick = subject.render(planes, view, differentiable=False)
+    if not torch.equal(quick.color, first.color):
+        raise ContractBrokenError(
+            "differentiable=False gives another image", "the same image", "leave out only what backward needs", "render"
+        )
+    return "twice the same bits, forward and backward, and with differentiable=False"
+
+
+def _speed(subject: Subject) -> Note:
+    planes, view = random_scene(SceneSpec(7, 5000, 320, 96, 3.0, (0.1, 0.9)))
+    subject.both_ways(planes, view)
+    start = time.perf_counter()
+    subject.both_ways(planes, view)
+    return Note(f"{(time.perf_counter() - start) * 1e3:.1f} ms forward and backward, 5000 Gaussians at 320x96")
+
+
+def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:
+    """All checks of a rasterizer; the speed of one that is compared with itself would take long and tell nothing."""
+    checks: tuple[Check[Subject], ...] = (
+        Check("worked by hand", _by_hand, essential=True),
+        Check("images", _images),
+        Check("gradients", _gradients),
+        Check("nothing to see", _nothing_to_see),
+        Check("determinism", _repeats),
+    )
+    return checks if subject.candidate.plugin.name == "reference" else (*checks, Check("speed", _speed))

@@ -1,0 +1,184 @@
+"""The contract of a tracker, on a few frames of a data set: states, poses, the trajectory, and whether it tracks."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from bench.authoring import probes
+from bench.authoring.poses import require_pose, require_trajectory
+from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
+from bench.evaluation.trajectory import absolute_trajectory_error
+from bench.types import StereoFrame, TrackingResult, Trajectory
+
+FRAMES = 8
+_STATES = ("ok", "weak", "lost")
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What a tracker said about the first frames: one result a frame, the trajectory at the end, ms a frame."""
+
+    results: list[TrackingResult]
+    trajectory: Trajectory
+    ms: float
+
+
+@dataclass
+class Subject:
+    """The tracker under test and the frames it is tested with."""
+
+    candidate: Candidate
+
+    @cached_property
+    def dataset(self) -> Any:
+        dataset = self.candidate.other("dataset")
+        probes.require_frames(dataset, 3)
+        return dataset
+
+    @cached_property
+    def frames(self) -> list[StereoFrame]:
+        return [self.dataset.frame(position) for position in range(min(FRAMES, len(self.dataset)))]
+
+    @cached_property
+    def drive(self) -> Drive:
+        return self.drive_again()
+
+    def drive_again(self) -> Drive:
+        """The frames through a fresh instance, every answer checked."""
+        tracker = self.candidate.build()
+        tracker.start(self.dataset)
+        results, seconds, tracked = [], 0.0, []
+        for frame in self.frames:
+            start = time.perf_counter()
+            result = tracker.track(frame)
+            seconds += time.perf_counter() - start
+            _require_result(result, frame)
+            results.append(result)
+            tracked += [] if result.state == "lost" else [frame.number]
+            require_trajectory(tracker.trajectory(), tracked, f"trajectory() after frame {frame.number}", "trajectory")
+        return Drive(results, tracker.trajectory(), seconds / len(self.frames) * 1e3)
+
+
+def _require_result(result: Any, frame: StereoFrame) -> None:
+    what = f"track() of frame {frame.number}"
+    if not isinstance(result, TrackingResult):
+        raise ContractBrokenError(
+            f"{what} is {type(result).__name__}",
+            "bench.types.TrackingResult",
+            'return TrackingResult(T_world_cam, "ok", inliers)',
+            "track",
+        )
+    if result.state not in _STATES or (result.state == "lost") != (result.T_world_cam is None):
+        pose = "no pose" if result.T_world_cam is None else "a pose"
+        raise ContractBrokenError(
+            f"{what} has state {result.state!r} with {pose}",
+            f"one of {', '.join(_STATES)}; None as pose exactly when it is lost",
+            'TrackingResult(None, "lost")',
+            "track",
+        )
+    if result.T_world_cam is not None:
+        require_pose(result.T_world_cam, f"the pose of frame {frame.number}", "track")
+    landmarks = result.landmarks
+    if landmarks is not None and (
+        np.asarray(landmarks).dtype != np.int64 or np.ndim(landmarks) != 1 or len(np.unique(landmarks)) < len(landmarks)
+    ):
+        raise ContractBrokenError(
+            f"{what} has landmarks {np.asarray(landmarks).dtype} {np.shape(landmarks)}",
+            "ids of the map points seen in this frame: int64 (N,), each once; or None",
+            "np.unique(ids).astype(np.int64)",
+            "track",
+        )
+
+
+def _answers(subject: Subject) -> str:
+    states = [result.state for result in subject.drive.results]
+    counts = ", ".join(f"{states.count(state)} {state}" for state in _STATES if state in states)
+    return f"{len(states)} frames of {subject.dataset.label}: {counts}; the trajectory agrees after each"
+
+
+def _times(subject: Subject) -> str:
+    times = {frame.number: frame.timestamp for frame in subject.frames}
+    trajectory = subject.drive.trajectory
+    expected = np.array([times[number] for number in trajectory.numbers.tolist()])
+    if not np.allclose(trajectory.timestamps, expected, atol=1e-6):
+        raise ContractBrokenError(
+            f"trajectory() has timestamps {np.round(trajectory.timestamps[:4], 3).tolist()}",
+            f"those of the frames, in seconds: {np.round(expected[:4], 3).tolist()}",
+            "keep frame.timestamp beside the pose",
+            "trajectory",
+        )
+    return "those of the frames"
+
+
+def _inputs(subject: Subject) -> str:
+    tracker = subject.candidate.build()
+    tracker.start(subject.dataset)
+    for frame in subject.frames[:2]:
+        left, right = frame.left.copy(), frame.right.copy()
+        tracker.track(StereoFrame(frame.number, frame.timestamp, left, right))
+        probes.require_untouched("the input left", frame.left, left, "track")
+        probes.require_untouched("the input right", frame.right, right, "track")
+    return "left as they were"
+
+
+def _repeats(subject: Subject) -> str:
+    again = probes.in_thread(subject.drive_again)
+    first, second = subject.drive.trajectory, again.trajectory
+    probes.require_same(first.T_world_cam, second.T_world_cam, "a fresh instance in a background thread", "track")
+    return "a fresh instance in a background thread: the same bits"
+
+
+def _accuracy(subject: Subject) -> str | Note:
+    truth = subject.dataset.ground_truth()
+    tracked = subject.drive.trajectory
+    if not len(tracked):
+        raise ContractBrokenError(
+            f"all {len(subject.frames)} frames are lost",
+            "poses of an easy drive",
+            "does it need more frames or larger images? Name another data set: dataset=kitti dataset.root=...",
+            "track",
+        )
+    if truth is None or len(tracked) < 3:
+        return Note(f"{len(tracked)} frames tracked; the data set has no poses to compare them with, or too few are")
+    result = absolute_trajectory_error(tracked, truth, "se3")
+    if isinstance(result, str):
+        return Note(result)
+    true_poses = truth.T_world_cam[np.isin(truth.numbers, result.numbers)]
+    centres = true_poses[:, :3, 3]
+    static = float(np.sqrt(((centres - centres.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    ratio = _length(tracked.T_world_cam) / max(_length(true_poses), 1e-9)
+    text = f"ATE {result.rmse_m:.3f} m (a camera that never moves: {static:.3f} m), path length {ratio:.2f} of the true"
+    if result.rmse_m > 0.5 * static and static > 0.05:
+        raise ContractBrokenError(
+            text,
+            "less than half the error of a camera that never moves",
+            "camera to world or world to camera? axes x right, y down, z forward? metres (path length 1.00)?",
+            "track",
+        )
+    return text
+
+
+def _length(poses: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
+
+
+def _speed(subject: Subject) -> Note:
+    camera = subject.dataset.camera
+    return Note(f"{subject.drive.ms:.1f} ms a frame at {camera.width}x{camera.height}")
+
+
+def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:
+    """All checks of a tracker."""
+    return (
+        Check("states and poses", _answers, essential=True),
+        Check("timestamps", _times),
+        Check("inputs", _inputs),
+        Check("determinism", _repeats),
+        Check("accuracy", _accuracy),
+        Check("speed", _speed),
+    )

@@ -1,0 +1,137 @@
+"""The folder of the disk cache: entries by key, shared by any number of processes, kept below a size."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from bench.cache.entry import DamagedEntryError, Stored, decode, encode
+from bench.file_lock import exclusive
+from bench.runs.atomic import TEMPORARY_PATTERN, atomic_path
+
+log = logging.getLogger(__name__)
+
+Kind = Literal["stereo", "sky"]
+KINDS: tuple[Kind, ...] = ("stereo", "sky")
+
+_SUFFIX = ".entry"
+_LOCKS = "locks"
+# The size is checked when so much of the limit was written since the last look, and then brought below the second.
+_CHECK_EACH = 0.05
+_TRIM_TO = 0.9
+# A temporary file of a process that was killed; a living one writes for far less than this.
+_ABANDONED_S = 3600.0
+
+
+@dataclass(frozen=True)
+class File:
+    """One entry on disk: size in bytes, and when it was last used (seconds since 1970)."""
+
+    path: Path
+    size: int
+    used: float
+
+
+class CacheStore:
+    """Reads and writes entries. ``limit`` is in bytes; it may be passed by a twentieth per process that writes."""
+
+    def __init__(self, folder: Path, limit: float) -> None:
+        self.folder = folder
+        self._limit = limit
+        # What other processes left there is not known yet, so the first entry written makes it look.
+        self._unchecked = limit
+
+    def read(self, kind: Kind, plugin: str, key: str) -> Stored | None:
+        """The entry, marked as just used, or None. A damaged one counts as missing, with a line in the log."""
+        path = self._path(kind, plugin, key)
+        try:
+            content = path.read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            log.warning("cache: %s can't be read (%s); computing it again", path, error.strerror)
+            return None
+        try:
+            stored = decode(content)
+        except DamagedEntryError as damage:
+            log.warning("cache: %s is damaged (%s); computing it again", path, damage)
+            return None
+        try:
+            os.utime(path)
+        except OSError as error:  # removed by another process just now, or a cache that this user may only read
+            log.debug("cache: %s can't be marked as used (%s)", path, error.strerror)
+        return stored
+
+    def write(self, kind: Kind, plugin: str, key: str, stored: Stored) -> None:
+        """Put the entry there, whole or not at all; old ones go when the limit is passed. ``OSError``, ``BenchError``
+        when the folder can't be written."""
+        path = self._path(kind, plugin, key)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        content = encode(stored)
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(content)
+        self._unchecked += len(content)
+        if self._unchecked >= _CHECK_EACH * self._limit:
+            self.trim()
+
+    def lock(self, key: str) -> AbstractContextManager[None]:
+        """For the process that computes this entry. One of 256 lock files by the key's first digits: their number stays
+        bounded, and two keys seldom meet. ``OSError`` when the folder can't be written or knows no locks."""
+        return self._lock(key[:2])
+
+    def trim(self) -> None:
+        """Remove the entries that were not used for the longest time until the rest is well below the limit."""
+        with self._lock("trim"):
+            entries = sorted(self.files(), key=lambda file: file.used)
+            total = sum(file.size for file in entries)
+            if total > self._limit:
+                for file in entries:
+                    if total <= _TRIM_TO * self._limit:
+                        break
+                    file.path.unlink(missing_ok=True)
+                    total -= file.size
+                log.info("cache: brought down to %.2f GB", total / 1e9)
+            self._remove_abandoned()
+        self._unchecked = 0.0
+
+    def files(self, kind: Kind | None = None) -> Iterator[File]:
+        """Every entry there is, of one kind or of both."""
+        for each in KINDS if kind is None else (kind,):
+            for path in (self.folder / each).glob(f"*/*/*{_SUFFIX}"):
+                try:
+                    state = path.stat()
+                except FileNotFoundError:
+                    continue  # another process removed it meanwhile
+                yield File(path, state.st_size, state.st_mtime)
+
+    def clear(self, kind: Kind | None = None) -> tuple[int, int]:
+        """Remove all entries, of one kind or of both, and nothing else; returns how many and how many bytes."""
+        removed, size = 0, 0
+        for file in self.files(kind):
+            file.path.unlink(missing_ok=True)
+            removed, size = removed + 1, size + file.size
+        return removed, size
+
+    def _remove_abandoned(self) -> None:
+        for kind in KINDS:
+            for path in (self.folder / kind).glob(f"*/*/{TEMPORARY_PATTERN}"):
+                try:
+                    abandoned = path.stat().st_mtime < time.time() - _ABANDONED_S
+                except FileNotFoundError:
+                    continue
+                if abandoned:
+                    path.unlink(missing_ok=True)
+
+    def _path(self, kind: Kind, plugin: str, key: str) -> Path:
+        return self.folder / kind / re.sub(r"[^\w-]", "_", plugin) / key[:2] / f"{key}{_SUFFIX}"
+
+    def _lock(self, name: str) -> AbstractContextManager[None]:
+        (self.folder / _LOCKS).mkdir(parents=True, exist_ok=True)
+        return exclusive(self.folder / _LOCKS / name)

@@ -1,0 +1,1 @@
+"""What stereo networks share: padding, resizing, tiling, left-right check, device, checkpoints."""

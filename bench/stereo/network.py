@@ -1,0 +1,121 @@
+"""Base class of stereo networks, whatever runs them: scale, tiles, left-right check, weights, and the checks of what
+comes out."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from bench.contracts.stereo import StereoBackbone, check_disparity, check_sign
+from bench.errors import BenchError
+from bench.registry import PluginConfig
+from bench.stereo.left_right import left_right_checked
+from bench.stereo.resizing import at_scale
+from bench.stereo.tiling import tiled
+from bench.types import Image, Map
+from bench.weights import resolve
+
+
+@dataclass(frozen=True)
+class NetworkConfig(PluginConfig):
+    """Settings that every network has; derive the plugin's own config from it."""
+
+    weights: str = field(default="", metadata={"path": True})
+    """File of weights; empty: the published ones, from where `bgs-bench weights path` finds them."""
+    device: str = "auto"
+    """auto, cpu, cuda, cuda:1, ..."""
+    dtype: str = "float32"
+    """float32, bfloat16 or float16: what the network computes in. The disparity is float32 in any case."""
+    scale: float = 1.0
+    """The network sees images this many times as large; the disparity is in pixels of the full image all the same."""
+    tile_rows: int = 0
+    """Match in strips of at most this many rows of the image that is fed, to save memory; 0: the image at once."""
+    tile_overlap: int = 64
+    """How many more rows a strip sees above and below."""
+    left_right_check_px: float = 0.0
+    """Match the right image too, and drop disparities that differ by more than this many pixels; 0: no check."""
+
+
+class StereoNetwork(StereoBackbone):
+    """A network; an author who brings one in torch subclasses ``TorchStereo`` and others write ``match``."""
+
+    worth_caching = True
+
+    def __init__(self, config: NetworkConfig, published: str = "") -> None:
+        """``published`` is the manifest's name of the weights to use where ``config.weights`` is empty, or "" for a
+        network without weights. Raises ``BenchError`` for a wrong setting and for weights that are not there."""
+        if not 0.05 <= config.scale <= 4:
+            raise BenchError(f"stereo.scale={config.scale} must be between 0.05 and 4; 0.5 is half the size.")
+        if config.tile_rows < 0 or config.tile_overlap < 0:
+            raise BenchError(
+                f"stereo.tile_rows={config.tile_rows} and stereo.tile_overlap={config.tile_overlap} must not be "
+                "negative; tile_rows=0 matches the image at once."
+            )
+        if config.left_right_check_px < 0:
+            raise BenchError(
+                f"stereo.left_right_check_px={config.left_right_check_px} must be 0 (no check) or a number of pixels."
+            )
+        self._settings = config
+        self.weights_path = _weights_path(config.weights, published)
+
+    def weights(self) -> dict[str, Path]:
+        """The network's file of weights, if it has one."""
+        return {} if self.weights_path is None else {"network": self.weights_path}
+
+    @abstractmethod
+    def match(self, left: Image, right: Image) -> Map:
+        """Disparity (H, W) float32 of the left image, in pixels of the images given here, NaN where unknown.
+
+        The images are what is left to do after scaling and tiling: (H, W, 3) uint8 RGB of any size.
+        """
+
+    def disparity(self, left: Image, right: Image) -> Map:
+        """Disparity in pixels of the given images, (H, W) float32, NaN where the network has no positive number, or
+        where the left-right check fails. Raises ``BenchError`` for what no network should return."""
+        if left.shape != right.shape:
+            raise BenchError(
+                f"{type(self).__name__}: the left image is {left.shape}, the right one {right.shape}; a rectified pair "
+                "has one size."
+            )
+        settings, matcher = self._settings, self._match_all
+        if settings.left_right_check_px:
+            # The check sees pixels of the fed image, the setting means those of the full one.
+            matcher = partial(left_right_checked, matcher, max_px=settings.left_right_check_px * settings.scale)
+        if settings.scale == 1:
+            return matcher(left, right)
+        return at_scale(matcher, left, right, settings.scale)
+
+    def _match_all(self, left: Image, right: Image) -> Map:
+        """``match`` on the pair or its strips, with the checks of what came out."""
+        matcher = self._match_checked
+        if self._settings.tile_rows:
+            rows, overlap = self._settings.tile_rows, self._settings.tile_overlap
+            matcher = partial(tiled, matcher, rows=rows, overlap=overlap)
+        disparity = matcher(left, right)
+        check_sign(disparity, f"{type(self).__name__}.match")
+        known = (disparity > 0) & np.isfinite(disparity)
+        if not known.any():
+            weights = f", or the weights {self.weights_path} are damaged" if self.weights_path else ""
+            raise BenchError(
+                f"{type(self).__name__} returned no number at all, only NaN: it overflows in dtype="
+                f"{self._settings.dtype} (try stereo.dtype=float32){weights}."
+            )
+        return np.where(known, disparity, np.float32(np.nan))
+
+    def _match_checked(self, left: Image, right: Image) -> Map:
+        disparity = self.match(left, right)
+        check_disparity(disparity, left.shape[:2], f"{type(self).__name__}.match")
+        return disparity
+
+
+def _weights_path(setting: str, published: str) -> Path | None:
+    if setting:
+        path = Path(setting).expanduser()
+        if not path.is_file():
+            raise BenchError(f"stereo.weights={setting} is no file. Correct the path, or leave the setting out.")
+        return path
+    return resolve(published) if published else None

@@ -1,0 +1,1 @@
+"""Own implementations of published stereo networks, in torch, from their papers."""

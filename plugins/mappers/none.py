@@ -1,0 +1,49 @@
+"""No map at all: for runs that are about tracking alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from bench.contracts.loss import LossTerm
+from bench.contracts.mapper import Mapper
+from bench.contracts.rasterizer import PinholeView, Rasterizer
+from bench.errors import BenchError
+from bench.registry import PluginConfig, register
+from bench.types import Keyframe, MappingReport, RenderedView, StereoCamera, Trajectory
+
+
+@register("mapper", "none")
+class NoMapper(Mapper):
+    """Builds nothing, so that trackers can be compared in seconds; stereo and sky are not computed either."""
+
+    wants_keyframes = False
+
+    def __init__(self, config: PluginConfig) -> None:
+        self.config = config
+
+    def start(self, camera: StereoCamera, rasterizer: Rasterizer, losses: Sequence[LossTerm], seed: int) -> None:
+        """Nothing to prepare."""
+
+    def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
+        """Nothing is learnt."""
+        return MappingReport(float("nan"), 0, 0)
+
+    def update_poses(self, trajectory: Trajectory) -> None:
+        """There is nothing that could move."""
+
+    def finish(self) -> None:
+        """Nothing is left to do."""
+
+    def render(self, view: PinholeView) -> RenderedView:
+        """There is nothing to see; raises ``BenchError``."""
+        raise BenchError("mapper=none has no map to render; choose another mapper, for example mapper=gaussian.")
+
+    @property
+    def gaussians(self) -> int:
+        """Always 0."""
+        return 0
+
+    def save(self, path: Path) -> None:
+        """There is no map to save; raises ``BenchError``."""
+        raise BenchError("mapper=none has no map to save; choose another mapper, for example mapper=gaussian.")

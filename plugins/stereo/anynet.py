@@ -1,0 +1,39 @@
+"""AnyNet (Wang et al., ICRA 2019): the smallest of the networks, for CPUs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import nn
+
+from bench.errors import require_choice
+from bench.registry import register
+from bench.stereo.checkpoint import fit_state, load_state
+from bench.stereo.network import NetworkConfig
+from bench.stereo.networks.anynet import AnyNet, FastAnyNet
+from bench.stereo.torch_network import TorchStereo
+
+
+@dataclass(frozen=True)
+class AnyNetConfig(NetworkConfig):
+    """``trained_on`` chooses between the published checkpoints, kitti2015 and kitti2012, where ``weights`` is empty."""
+
+    trained_on: str = "kitti2015"
+
+
+@register("stereo", "anynet", config=AnyNetConfig)
+class AnyNetStereo(TorchStereo):
+    """AnyNet's three stages with the authors' KITTI weights: coarse, but the fastest network on a CPU."""
+
+    pad_multiple = 16
+
+    def __init__(self, config: AnyNetConfig) -> None:
+        require_choice("stereo.trained_on", config.trained_on, ("kitti2015", "kitti2012"))
+        super().__init__(config, published=f"anynet_{config.trained_on}")
+
+    def load(self) -> nn.Module:
+        """The network with the checkpoint's weights; raises ``BenchError`` if they don't fit."""
+        assert self.weights_path is not None
+        network = AnyNet()
+        fit_state(network, load_state(self.weights_path), self.weights_path, ignore=("refine_spn.",))
+        return FastAnyNet(network)

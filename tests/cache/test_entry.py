@@ -1,0 +1,61 @@
+"""The file of one entry: every bit comes back, and no damage passes for an answer."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+import pytest
+
+from bench.cache.entry import DamagedEntryError, Stored, decode, encode
+
+
+def test_every_bit_of_a_depth_map_comes_back() -> None:
+    """All kinds of float32: both zeros, infinities, denormals, NaNs with different payloads, random mantissas."""
+    rng = np.random.default_rng(0)
+    bits = rng.integers(0, 2**32, size=(37, 53), dtype=np.uint32)
+    bits[0, :6] = [0x80000000, 0x7F800000, 0xFF800000, 0x00000001, 0x7FC00000, 0x7FC12345]
+    depth = bits.view(np.float32)
+    back = decode(encode(Stored(depth, 1.25, "net")))
+    assert (back.seconds, back.source, back.array.dtype, back.array.shape) == (1.25, "net", np.float32, (37, 53))
+    assert np.array_equal(back.array.view(np.uint32), bits)
+    back.array[0, 0] = 1.0  # the caller may write to it
+    turned = np.asfortranarray(depth)
+    assert np.array_equal(decode(encode(Stored(turned, 0.0, ""))).array.view(np.uint32), bits)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (7, 9), (16, 16)])
+def test_every_pixel_of_a_mask_comes_back(shape: tuple[int, int]) -> None:
+    mask = np.random.default_rng(1).random(shape) < 0.5
+    back = decode(encode(Stored(mask, 0.5, "")))
+    assert back.array.dtype == np.bool_
+    assert np.array_equal(back.array, mask)
+    back.array[0, 0] = True
+
+
+def test_a_sky_mask_is_small() -> None:
+    mask = np.zeros((370, 1226), dtype=bool)
+    mask[:150] = True
+    assert len(encode(Stored(mask, 0.0, ""))) < 2000
+
+
+def test_any_changed_byte_and_any_cut_is_seen() -> None:
+    whole = encode(Stored(np.arange(12, dtype=np.float32).reshape(3, 4), 0.1, "net"))
+    for place in range(len(whole)):
+        changed = bytearray(whole)
+        changed[place] ^= 0x10
+        with pytest.raises(DamagedEntryError):
+            decode(bytes(changed))
+    for length in range(len(whole)):
+        with pytest.raises(DamagedEntryError):
+            decode(whole[:length])
+    with pytest.raises(DamagedEntryError, match="no cache entry"):
+        decode(b"\x93NUMPY...")
+
+
+def test_the_format_is_what_it_says() -> None:
+    """Read by hand: a line with the checksum, a line of JSON, the plain little-endian floats."""
+    first, header, payload = encode(Stored(np.full((2, 2), 1.5, np.float32), 0.25, "a")).split(b"\n", 2)
+    assert first == f"bgs-cache 1 {zlib.crc32(header + bytes([10]) + payload):08x}".encode()
+    assert header == b'{"dtype": "float32", "shape": [2, 2], "seconds": 0.25, "source": "a"}'
+    assert payload == bytes.fromhex("0000c03f") * 4
