@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Sequence
+from types import ModuleType
 
 from bench.authoring.candidate import FOR_ALL_KINDS, candidate_of
 from bench.authoring.verdict import Candidate, Finding, run_checks
@@ -23,7 +24,11 @@ def findings_of(candidate: Candidate) -> Iterator[Finding]:
     yield from general
     if any(finding.state == "FAILED" and finding.title != "config" for finding in general):
         return
-    # Each kind's checks bring what they need (torch, pandas, ...) when they are asked for.
-    module = importlib.import_module(f"bench.authoring.{candidate.plugin.kind}_checks")
+    module = checks_for(candidate.plugin.kind)
     subject = module.Subject(candidate)
     yield from run_checks(candidate.plugin, subject, module.checks_of(subject))
+
+
+def checks_for(kind: str) -> ModuleType:
+    """The module of a kind's checks, with ``Subject`` and ``checks_of``; it brings what it needs when asked for."""
+    return importlib.import_module(f"bench.authoring.{kind}_checks")

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import cv2
 import numpy as np
@@ -145,16 +147,49 @@ def cost_of(call: Callable[[], object]) -> Cost:
     call()
     gc.collect()
     times: list[float] = []
-    resident = [resident_mb()]
+    in_use = [allocated_mb()]
     while len(times) < 3 or (len(times) < _MAX_CALLS and sum(times) < _SECONDS_FOR_COST):
         start = time.perf_counter()
         call()
         times.append(time.perf_counter() - start)
         gc.collect()
-        resident.append(resident_mb())
-    left = [b - a for a, b in pairwise(resident) if a is not None and b is not None] or None
+        in_use.append(allocated_mb())
+    left = [b - a for a, b in pairwise(in_use) if a is not None and b is not None] or None
     above = max(peak.host_gb() * 1e3 - (before or 0.0), 0.0)
     return Cost(len(times), float(np.median(times)) * 1e3, left, above)
+
+
+class _Mallinfo2(ctypes.Structure):
+    """What glibc (2.33 and newer) tells of its heap; bytes."""
+
+    _fields_: ClassVar = [
+        (name, ctypes.c_size_t)
+        for name in (
+            "arena",
+            "free",
+            "fast",
+            "mapped",
+            "hblkhd",
+            "unused",
+            "fast_bytes",
+            "uordblks",
+            "free_bytes",
+            "top",
+        )
+    ]
+
+
+def allocated_mb() -> float | None:
+    """MB that are allocated and not freed, by numpy, torch or OpenCV; resident memory where the C library can't tell.
+
+    Resident memory alone would miss a leak into what was freed before.
+    """
+    if not sys.platform.startswith("linux") or not hasattr(ctypes.CDLL(None), "mallinfo2"):
+        return resident_mb()
+    ask = ctypes.CDLL(None).mallinfo2
+    ask.restype = _Mallinfo2
+    told = ask()
+    return float(told.uordblks + told.hblkhd) / 1e6
 
 
 def resident_mb() -> float | None:

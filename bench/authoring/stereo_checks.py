@@ -130,7 +130,6 @@ def _repeats(subject: Subject) -> str:
     first = subject.disparity(pair)
     kept = first.copy()
     subject.disparity(other)
-    later = subject.source.disparity(*pair)
     if not probes.same_arrays(first, kept):
         raise ContractBrokenError(
             "the next call overwrote the array that the call before had returned",
@@ -138,6 +137,7 @@ def _repeats(subject: Subject) -> str:
             "return result.copy()",
             "disparity",
         )
+    later = subject.source.disparity(*pair)
     probes.require_same(first, subject.disparity(pair), "the same pair twice, each after start()", "disparity")
     if not subject.source.temporal and not probes.same_arrays(first, later):
         raise ContractBrokenError(

@@ -137,7 +137,10 @@ def place_of(plugin: Plugin, method: str) -> str:
             continue
         source, first = inspect.getsourcelines(function)
         return f"{plugin.file}:{first + _last_return(source)}"
-    return f"{plugin.file}:{inspect.getsourcelines(plugin.cls)[1]}"
+    source, first = inspect.getsourcelines(plugin.cls)
+    # Decorators come before the line that says `class`.
+    decorators = next((at for at, line in enumerate(source) if line.lstrip().startswith("class ")), 0)
+    return f"{plugin.file}:{first + decorators}"
 
 
 def _last_return(source: list[str]) -> int:

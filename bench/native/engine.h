@@ -1,6 +1,7 @@
 // Runs the kernels stage by stage on the thread pool, and owns the scratch memory (it only grows, and is reused).
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <memory>
 #include <vector>
@@ -16,7 +17,7 @@ class Buffer {
 public:
     T* reserve(size_t count) {
         if (count > capacity_) {
-            capacity_ = count + count / 8;
+            capacity_ = std::max(count, capacity_ + capacity_ / 8);
             data_.reset(static_cast<T*>(::operator new[](capacity_ * sizeof(T), std::align_val_t(64))));
         }
         return data_.get();

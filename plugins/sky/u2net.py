@@ -30,7 +30,7 @@ class U2netConfig(PluginConfig):
     weights: str = field(default="", metadata={"path": True})
     threshold: float = 0.5
     min_depth_m: float = 30.0
-    max_near: float = 0.85
+    max_near: float = 0.8
 
 
 @register("sky", "u2net", config=U2netConfig)

@@ -97,8 +97,8 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         (folder / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     yield folder
-    for module in [name for name in sys.modules if name.startswith("my_networks")]:
-        del sys.modules[module]
+    for name in [name for name in sys.modules if name.startswith("my_networks")]:
+        del sys.modules[name]
 
 
 @pytest.mark.parametrize(

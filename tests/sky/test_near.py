@@ -61,5 +61,5 @@ def test_zero_metres_removes_nothing_and_no_sky_is_no_sky() -> None:
 def test_wrong_settings() -> None:
     with pytest.raises(BenchError, match=r"sky.min_depth_m=-1 is negative; give metres"):
         NearLimit(-1, 0.85)
-    with pytest.raises(BenchError, match=r"sky.max_near=1.0 is no share between 0 and 1, for example 0.85"):
+    with pytest.raises(BenchError, match=r"sky.max_near=1.0 is no share between 0 and 1, for example 0.8"):
         NearLimit(30, 1.0)

@@ -30,12 +30,14 @@ def check(image1, image2, test_mode):
 IGEV = """
 from core.checks import check, nn, torch
 from core.which import WHICH
+import timm
 print("authors print at import")
 
 class IGEVStereo(nn.Module):
     def __init__(self, args):
         super().__init__()
         assert args.max_disp == 192 and args["hidden_dims"] == [128, 128, 128] and args.get("nothing") is None
+        assert isinstance(timm.create_model("new", pretrained=True, features_only=True).act1, nn.Identity)
         self.gain = nn.Parameter(torch.zeros(1))
         self.norm = nn.BatchNorm2d(3)
 
@@ -44,6 +46,23 @@ class IGEVStereo(nn.Module):
         assert WHICH == "igev" and not self.training
         # Left red minus right green: the order of images and channels shows in the number.
         return self.gain * (image1[:, :1] - image2[:, 1:2]) + iters
+"""
+
+TIMM = """
+from torch import nn
+
+class Activated(nn.BatchNorm2d):
+    def __init__(self):
+        super().__init__(2)
+        self.act = nn.ReLU6()
+
+def create_model(name, pretrained=False, features_only=False):
+    assert not pretrained, "a download"
+    model = nn.Module()
+    model.bn1 = Activated() if name == "new" else nn.BatchNorm2d(2)
+    if name == "old":
+        model.act1 = nn.ReLU6()
+    return model
 """
 
 TCSM = """
@@ -98,8 +117,17 @@ def write_files(root: Path, files: dict[str, str]) -> Path:
 
 def igev_checkout(root: Path) -> Path:
     """As the authors': the package is in the folder IGEV-Stereo of the repository."""
-    inside = {"core/__init__.py": "", "core/checks.py": CHECKS, "core/which.py": "WHICH = 'igev'"}
-    write_files(root / "IGEV-Stereo", inside | {"core/igev_stereo.py": IGEV})
+    write_files(
+        root / "IGEV-Stereo",
+        {
+            "core/__init__.py": "",
+            "core/checks.py": CHECKS,
+            "core/which.py": "WHICH = 'igev'",
+            "core/igev_stereo.py": IGEV,
+            # Here it is found before an installed one.
+            "timm/__init__.py": TIMM,
+        },
+    )
     return root
 
 

@@ -15,7 +15,7 @@ from bench.errors import BenchError
 from bench.stereo.upstream.construction import patched
 from bench.stereo.upstream.model import Motion, UpstreamModel
 from bench.stereo.upstream.recipe import UpstreamRecipe
-from tests.stereo.fake_upstream import recipe_of, write_files
+from tests.stereo.fake_upstream import TIMM, recipe_of, write_files
 
 PLAIN = """
 import torch
@@ -176,24 +176,6 @@ def test_timm_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         loaded(tmp_path, recipe_of("never_imported", "Net", patches=("timm",)))
 
 
-TIMM = """
-from torch import nn
-
-class Activated(nn.BatchNorm2d):
-    def __init__(self):
-        super().__init__(2)
-        self.act = nn.ReLU6()
-
-def create_model(name, pretrained=False, features_only=False):
-    assert not pretrained, "a download"
-    model = nn.Module()
-    model.bn1 = Activated() if name == "new" else nn.BatchNorm2d(2)
-    if name == "old":
-        model.act1 = nn.ReLU6()
-    return model
-"""
-
-
 def test_timm_builds_without_weights_and_has_act1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_files(tmp_path / "site", {"timm/__init__.py": TIMM})
     monkeypatch.syspath_prepend(tmp_path / "site")
@@ -211,7 +193,9 @@ def test_timm_builds_without_weights_and_has_act1(tmp_path: Path, monkeypatch: p
 
 
 def test_dinov2_comes_from_the_checkout(tmp_path: Path) -> None:
-    hubconf = "from torch import nn\ndef dinov2_vitl14(pretrained=True):\n    assert not pretrained\n    return nn.Linear(2, 5)\n"
+    hubconf = (
+        "from torch.nn import Linear\ndef dinov2_vitl14(pretrained):\n    return None if pretrained else Linear(2, 5)"
+    )
     write_files(tmp_path, {"dinov2/hubconf.py": hubconf})
     with patched(("dinov2",), (), tmp_path):
         model = torch.hub.load("facebookresearch/dinov2", "dinov2_vitl14", pretrained=False)
@@ -243,7 +227,7 @@ def test_torchvision_can_be_imported() -> None:
 def test_stand_ins_replace_only_what_is_missing() -> None:
     with patched((), ("stand_in_for_tests", "json"), Path()):
         namespace: dict[str, object] = {}
-        exec("import stand_in_for_tests.part as p\nfrom stand_in_for_tests import *\nimport json", namespace)
+        exec("import stand_in_for_tests as s\nfrom stand_in_for_tests import *\ns.io.Cloud\nimport json", namespace)
         assert namespace["json"].loads("1") == 1  # type: ignore[attr-defined]
     del sys.modules["stand_in_for_tests"]
 

@@ -27,7 +27,9 @@ class PlaneAggregation(nn.Module):
         # Each further normalisation follows a convolution directly, so it goes into that one's weights.
         affines = [batch_norm_affine(norm) for norm in norms[1:]]
         self.convolutions = nn.ModuleList(
-            _convolution(banded_weight(conv.weight * gain.view(-1, 1, 1, 1, 1), planes), offset.repeat_interleave(planes))
+            _convolution(
+                banded_weight(conv.weight * gain.view(-1, 1, 1, 1, 1), planes), offset.repeat_interleave(planes)
+            )
             for conv, (gain, offset) in zip(convolutions[:-1], affines, strict=True)
         )
         self.convolutions.append(_convolution(banded_weight(convolutions[-1].weight, planes), None))

@@ -38,13 +38,15 @@ class PsmNet(nn.Module):
         values = self.dres0[1:](norm(values))
         values = self.dres1(values).add_(values)
 
-        first, inner, after_first = self.dres2(values, None, None)
-        first += values
-        second, _, after_second = self.dres3(first, inner, after_first)
-        second += values
-        third, _, _ = self.dres4(second, inner, after_second)
-        third += values
-        cost = self.classif1(first) + self.classif2(second) + self.classif3(third)
+        result, inner, after = values, None, None
+        cost = torch.zeros((), device=left.device)
+        hourglasses = ((self.dres2, self.classif1), (self.dres3, self.classif2), (self.dres4, self.classif3))
+        for hourglass, classifier in hourglasses:
+            result, down, after = hourglass(result, inner, after)
+            # What an hourglass adds after its bottom is always the first one's.
+            inner = down if inner is None else inner
+            result += values
+            cost = cost + classifier(result)
         return upsampled_soft_argmin(cost[0, 0].float(), MAX_DISPARITY, left.shape[2:])
 
 
@@ -54,7 +56,12 @@ class _Features(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.firstconv = nn.Sequential(
-            _norm2d(3, 32, stride=2), nn.ReLU(inplace=True), _norm2d(32, 32), nn.ReLU(inplace=True), _norm2d(32, 32), nn.ReLU(inplace=True)
+            _norm2d(3, 32, stride=2),
+            nn.ReLU(inplace=True),
+            _norm2d(32, 32),
+            nn.ReLU(inplace=True),
+            _norm2d(32, 32),
+            nn.ReLU(inplace=True),
         )
         self.layer1 = _residuals(3, 32, 32)
         self.layer2 = _residuals(16, 32, 64, stride=2)

@@ -30,11 +30,6 @@ class Arguments(dict[str, Any]):
 class StandIn(types.ModuleType):
     """A module that is imported but never used; what is taken from it can be called only by mistake."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        # With it, `import name.part` finds this module to be a package.
-        self.__path__ = []
-
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)

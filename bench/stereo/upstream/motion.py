@@ -26,7 +26,7 @@ def motion_between(before: Image, depth_before: Map, now: Image, camera: StereoC
     """``T_now_before`` (4, 4): takes points of the left camera's frame at ``before`` into that at ``now``, in metres.
 
     Corners of known depth (H, W; metres, NaN where unknown) are tracked into the image ``now`` (Lucas and Kanade 1981,
-    in a pyramid, forth and back) and resected with RANSAC. None when too few of them agree on one rigid motion. The
+    in a pyramid, forth and back) and resected with RANSAC and a last refinement over those that agree. None when too few of them agree on one rigid motion. The
     same input gives the same bits: OpenCV's RANSAC starts from a fixed seed.
     """
     grey_before, grey_now = _grey(before), _grey(now)
@@ -37,9 +37,10 @@ def motion_between(before: Image, depth_before: Map, now: Image, camera: StereoC
     corners, there = corners[kept], there[kept]
     if len(corners) < _LEAST_INLIERS:
         return None
+    points, pixels = _points(corners, depth_before, camera), there.astype(np.float64)
     found, rotation, translation, inliers = cv2.solvePnPRansac(
-        _points(corners, depth_before, camera),
-        there.astype(np.float64),
+        points,
+        pixels,
         camera.intrinsics,
         None,
         iterationsCount=_RANSAC_ROUNDS,
@@ -48,6 +49,11 @@ def motion_between(before: Image, depth_before: Map, now: Image, camera: StereoC
     )
     if not found or inliers is None or len(inliers) < max(_LEAST_INLIERS, _LEAST_INLIER_SHARE * len(corners)):
         return None
+    agree = inliers[:, 0]
+    if REFINE:
+        rotation, translation = cv2.solvePnPRefineLM(
+            points[agree], pixels[agree], camera.intrinsics, None, rotation, translation
+        )
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = cv2.Rodrigues(rotation)[0], translation[:, 0]
     return T

@@ -119,11 +119,11 @@ class UpstreamNetwork(StereoNetwork):
         command = [config.python or sys.executable, "-c", _START, str(package)]
         # The bench's own interpreter finds everything as it is; only for another one the folder is taken away.
         command.append(str(package.parent) if config.python else "")
+        recipe = self.recipe.plain() | {"arguments": self._arguments()}
         try:
             self._process = PeerProcess(command)
         except PeerFailure as failure:
             raise BenchError(f"stereo={config.name}: {command[0]} {failure}. Correct stereo.python.") from failure
-        recipe = self.recipe.plain() | {"arguments": self._arguments()}
         self._ask(
             Message(
                 "load",
@@ -153,7 +153,7 @@ class UpstreamNetwork(StereoNetwork):
         except PeerFailure as failure:
             raise BenchError(
                 f"stereo={self._config.name}: the process of {self.recipe.title} {failure}. If memory ran out, lower "
-                "stereo.scale or set stereo.tile_rows."
+                "stereo.scale."
             ) from failure
         if answer.kind == "refused":
             self.close()

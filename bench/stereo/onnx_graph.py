@@ -1,0 +1,56 @@
+"""What an ONNX stereo network expects and gives, and the presets of known ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class StereoGraph:
+    """How to talk to an ONNX stereo network.
+
+    ``left``, ``right``, ``output`` are tensor names, or positions such as "0". ``stacked`` says how one input takes both
+    views: "" for two inputs, "channels" for (1, 6, H, W), "batch" for (2, 3, H, W); ``left`` then names that input.
+    ``layout`` is "nchw" or "nhwc". ``colours``: "unit" (RGB 0 to 1), "raw" (0 to 255), "signed" (-1 to 1), "imagenet"
+    (unit, less ImageNet's mean, by its standard deviation).
+    ``fit``: "resize" to the size that the file fixes, "pad" to it, "auto" to pad an image that fits and resize one that
+    does not. A file that leaves the size open gets images padded to multiples of ``pad_multiple`` on ``pad_side``.
+    ``unit``: a disparity of 1 in the output is one pixel of the fed image ("px") or the whole width ("width"); it is
+    multiplied by ``gain``, -1 for networks that give the (negative) flow.
+    ``published`` is the manifest's name of the weights, or "".
+    """
+
+    left: str = "0"
+    right: str = "1"
+    output: str = "0"
+    stacked: str = ""
+    layout: str = "nchw"
+    colours: str = "raw"
+    fit: str = "auto"
+    pad_multiple: int = 32
+    pad_side: str = "centred"
+    unit: str = "px"
+    gain: float = 1.0
+    published: str = ""
+
+
+CHOICES = {
+    "stacked": ("", "channels", "batch"),
+    "layout": ("nchw", "nhwc"),
+    "colours": ("unit", "raw", "signed", "imagenet"),
+    "fit": ("auto", "resize", "pad"),
+    "pad_side": ("top_right", "bottom_right", "centred"),
+    "unit": ("px", "width"),
+}
+
+PRESETS = {
+    "generic": StereoGraph(),
+    # NVIDIA's redtail network; sees 161 x 513 pixels of any image.
+    "nvtiny": StereoGraph(
+        "left:0", "right:0", "disp:0", "", "nhwc", "unit", "resize", unit="width", published="nvtiny"
+    ),
+    # FoundationStereo's own export script, and the names that we recommend for exports of IGEV, IGEV++, MoCha, MonSter.
+    "left_right_disp": StereoGraph("left", "right", "disp"),
+    # export_onnx of the package stereo-matching 0.2.
+    "stereo_matching": StereoGraph("left_values", "right_values", "disparity", colours="imagenet"),
+}

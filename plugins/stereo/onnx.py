@@ -1,0 +1,169 @@
+"""Any stereo network in an ONNX file."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from bench.errors import BenchError, require_choice
+from bench.registry import register
+from bench.stereo.network import NetworkConfig, StereoNetwork
+from bench.stereo.onnx_graph import CHOICES, PRESETS, StereoGraph
+from bench.stereo.onnx_session import ELEMENT_TYPES, describe, find_tensor, open_session, run_session
+from bench.stereo.padding import Window, next_multiple, pad_to
+from bench.stereo.resizing import resize_disparity, resize_image
+from bench.types import Image, Map
+
+# Gain and offset of 8-bit colours, for each of the three channels.
+_MEAN, _STD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
+_COLOURS = {
+    "raw": (np.ones(3), np.zeros(3)),
+    "unit": (np.full(3, 1 / 255), np.zeros(3)),
+    "signed": (np.full(3, 2 / 255), np.full(3, -1.0)),
+    "imagenet": (1 / (255 * _STD), -_MEAN / _STD),
+}
+
+
+@dataclass(frozen=True)
+class OnnxConfig(NetworkConfig):
+    """``weights`` is the ONNX file. ``preset`` says how to talk to it; every other setting here replaces one of the
+    preset's where it is given. Their meaning is that of the fields of ``StereoGraph``."""
+
+    preset: str = "generic"
+    left: str | None = None
+    right: str | None = None
+    output: str | None = None
+    stacked: str | None = None
+    layout: str | None = None
+    colours: str | None = None
+    fit: str | None = None
+    pad_multiple: int | None = None
+    pad_side: str | None = None
+    unit: str | None = None
+    gain: float | None = None
+    threads: int = 0
+    """CPU threads; 0: as many as torch has been given."""
+
+
+@register("stereo", "onnx", config=OnnxConfig)
+class OnnxStereo(StereoNetwork):
+    """Any stereo network in an ONNX file (stereo.weights=FILE), described by a preset and settings."""
+
+    def __init__(self, config: OnnxConfig) -> None:
+        graph = _graph(config)
+        if not config.weights and not graph.published:
+            raise BenchError(
+                "stereo=onnx needs the network's file: give stereo.weights=FILE.onnx, and stereo.preset as one of "
+                f"{', '.join(PRESETS)}."
+            )
+        if config.dtype != "float32":
+            raise BenchError(f"stereo.dtype={config.dtype}: an ONNX file has its own number format; leave dtype out.")
+        super().__init__(config, graph.published)
+        assert self.weights_path is not None
+        self._graph, self._path = graph, self.weights_path
+        self._session = open_session(self._path, config.device, config.threads)
+        inputs = self._session.get_inputs()
+        names = [("left", graph.left)] if graph.stacked else [("left", graph.left), ("right", graph.right)]
+        self._inputs = [find_tensor(inputs, name, setting, self._path) for setting, name in names]
+        self._output = find_tensor(self._session.get_outputs(), graph.output, "output", self._path)
+        fed = {tensor.name for tensor in self._inputs}
+        if fed != {tensor.name for tensor in inputs} or len(fed) < len(names):
+            raise BenchError(
+                f"{self._path} has the inputs {', '.join(map(describe, inputs))}; stereo.preset={config.preset} feeds "
+                f"{' and '.join(map(repr, sorted(fed)))}. Set left, right and stacked so that each is fed once."
+            )
+        for tensor in self._inputs:
+            if tensor.type not in ELEMENT_TYPES or len(tensor.shape) != 4:
+                raise BenchError(f"{self._path}: {describe(tensor)} is no image input (four sides, floating point).")
+        self._size = self._fixed_size()
+
+    @staticmethod
+    def unavailable_reason() -> str | None:
+        """None, or that onnxruntime is missing and how to get it."""
+        if importlib.util.find_spec("onnxruntime") is None:
+            return "onnxruntime is not installed; run `pip install onnxruntime`."
+        return None
+
+    def match(self, left: Image, right: Image) -> Map:
+        """One pass of the graph over a pair; raises ``BenchError`` where the graph refuses it or gives another shape."""
+        pair, shape, window = self._fitted(left, right)
+        values = [self._as_input(image) for image in pair]
+        if self._graph.stacked:
+            channels = 1 if self._graph.layout == "nchw" else 3
+            values = [np.concatenate(values, axis=channels if self._graph.stacked == "channels" else 0)]
+        feed = {
+            tensor.name: value.astype(ELEMENT_TYPES[tensor.type], copy=False)
+            for tensor, value in zip(self._inputs, values, strict=True)
+        }
+        (output,) = run_session(self._session, [self._output.name], feed, self._path)
+        if output.size != shape[0] * shape[1]:
+            raise BenchError(
+                f"{self._path}: {describe(self._output)} has the shape {output.shape} for images of {shape[0]} x "
+                f"{shape[1]}; expected one disparity a pixel. Choose another stereo.output, if there is one."
+            )
+        # A gain in pixels of the fed image, whose width is shape[1].
+        gain = self._graph.gain * (shape[1] if self._graph.unit == "width" else 1)
+        disparity = output.reshape(shape).astype(np.float32) * np.float32(gain)
+        if window is not None:
+            return np.ascontiguousarray(disparity[window])
+        return resize_disparity(disparity, (left.shape[0], left.shape[1]))
+
+    def _fitted(self, left: Image, right: Image) -> tuple[list[Image], tuple[int, int], Window | None]:
+        """The pair at a size that the graph takes, that size, and the image's place in it (None: it was resized)."""
+        height, width = left.shape[:2]
+        size, graph = self._size, self._graph
+        if size is None:
+            size = next_multiple((height, width), graph.pad_multiple)
+        elif graph.fit == "resize" or (graph.fit == "auto" and (height > size[0] or width > size[1])):
+            return [resize_image(image, size) for image in (left, right)], size, None
+        if height > size[0] or width > size[1]:
+            raise BenchError(
+                f"stereo.fit=pad: {self._path} takes images of {size[1]}x{size[0]}, and the frame is {width}x{height}. "
+                "Use stereo.fit=resize, or a smaller stereo.scale."
+            )
+        padded = [pad_to(image, size, graph.pad_side) for image in (left, right)]
+        return [image for image, _ in padded], size, padded[0][1]
+
+    def _as_input(self, image: Image) -> npt.NDArray[np.float32]:
+        gain, offset = (part.astype(np.float32) for part in _COLOURS[self._graph.colours])
+        values = image * gain + offset
+        if self._graph.layout == "nchw":
+            values = np.ascontiguousarray(values.transpose(2, 0, 1))
+        return np.asarray(values[None], np.float32)
+
+    def _fixed_size(self) -> tuple[int, int] | None:
+        """Height and width that the file fixes, or None; raises ``BenchError`` where they can't be an image's."""
+        shape = self._inputs[0].shape
+        sides, channels = (shape[2:], shape[1]) if self._graph.layout == "nchw" else (shape[1:3], shape[3])
+        expected = 6 if self._graph.stacked == "channels" else 3
+        if isinstance(channels, int) and channels != expected:
+            raise BenchError(
+                f"{self._path}: {describe(self._inputs[0])} does not have {expected} channels where "
+                f"stereo.layout={self._graph.layout} says. Try the other layout, or stereo.stacked."
+            )
+        fixed = [side for side in sides if isinstance(side, int) and side > 0]
+        return (fixed[0], fixed[1]) if len(fixed) == 2 else None
+
+
+def _graph(config: OnnxConfig) -> StereoGraph:
+    """The preset with the settings that were given; raises ``BenchError`` for a wrong one."""
+    preset = PRESETS[require_choice("stereo.preset", config.preset, PRESETS)]
+    given: dict[str, Any] = {
+        field.name: getattr(config, field.name)
+        for field in dataclasses.fields(StereoGraph)
+        if getattr(config, field.name, None) is not None
+    }
+    for name, accepted in CHOICES.items():
+        if name in given:
+            require_choice(f"stereo.{name}", given[name], accepted)
+    graph = dataclasses.replace(preset, **given)
+    if graph.gain == 0 or graph.pad_multiple < 1:
+        raise BenchError(
+            f"stereo.gain={graph.gain} must not be 0, and stereo.pad_multiple={graph.pad_multiple} not be below 1."
+        )
+    return graph

@@ -1,0 +1,39 @@
+"""The likely mistake behind wrong disparities, from numbers worked by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.authoring.units import Medians, explain_units
+from bench.authoring.verdict import ContractBrokenError
+
+TRUE = np.array([5.0, 17.0, 41.0])
+
+
+@pytest.mark.parametrize(
+    ("answered", "says", "mend"),
+    [
+        (-TRUE, "the sign is wrong", "return -d"),
+        (TRUE / 4, "a quarter", "multiply by 4"),
+        (TRUE / 2 + 0.05, "half", "multiply by 2"),
+        (TRUE * 16, "16 times", "divide by 16"),
+        (TRUE * 256, "256 times", "divide by 256"),
+        (TRUE / 480, "share of the image's width", "multiply by the width"),
+        (TRUE * 1.3, "1.3 times the true one", "multiply by 0.7692"),
+        (85 / TRUE, "this is depth", "return the disparity"),
+        (TRUE + 8, r"off by \+8\.0 px everywhere", "padding"),
+        (np.array([5.0, 17.0, 3.0]), "no simple relation", "largest disparity"),
+        (np.array([40.0, 5.0, 20.0]), "no simple relation", "right order"),
+    ],
+)
+def test_what_it_looks_like(answered: np.ndarray, says: str, mend: str) -> None:
+    with pytest.raises(ContractBrokenError, match=says) as caught:
+        explain_units(Medians(TRUE, answered, (256, 480)))
+    assert mend in caught.value.mend
+    assert caught.value.method == "disparity"
+
+
+@pytest.mark.parametrize("answered", [TRUE, TRUE + 1.4, TRUE * 1.03])
+def test_a_matchers_ordinary_error_passes(answered: np.ndarray) -> None:
+    explain_units(Medians(TRUE, answered, (256, 480)))
