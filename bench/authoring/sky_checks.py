@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.authoring import probes
+from bench.authoring import cost, probes
 from bench.authoring.verdict import Candidate, Check, Note
 from bench.types import DepthMap, Image, Map, Mask
 
@@ -96,9 +96,7 @@ def _on_the_dataset(subject: Subject) -> Note:
 
 def _cost(subject: Subject) -> str | Note:
     scene = _scene(*probes.FULL_SIZE)
-    return probes.describe_cost(
-        probes.cost_of(lambda: subject.mask(*scene)), np.prod(probes.FULL_SIZE) / 1e6, "segment"
-    )
+    return cost.describe_cost(cost.cost_of(lambda: subject.mask(*scene)), np.prod(probes.FULL_SIZE) / 1e6, "segment")
 
 
 def _weights(subject: Subject) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.authoring import probes
+from bench.authoring import cost, probes
 from bench.authoring.units import Medians, explain_units
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.contracts.stereo import StereoBackbone
@@ -219,8 +219,8 @@ def _on_the_dataset(subject: Subject) -> str | Note:
 def _cost(subject: Subject) -> str | Note:
     pair = probes.shifted_pair(*probes.FULL_SIZE, SHIFTS_PX[2])
     subject.source.start(probes.PairDataset(*pair))
-    cost = probes.cost_of(lambda: subject.source.disparity(*pair))
-    return probes.describe_cost(cost, np.prod(probes.FULL_SIZE) * 4 / 1e6, "disparity")
+    measured = cost.cost_of(lambda: subject.source.disparity(*pair))
+    return cost.describe_cost(measured, np.prod(probes.FULL_SIZE) * 4 / 1e6, "disparity")
 
 
 def _weights(subject: Subject) -> str:

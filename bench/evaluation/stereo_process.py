@@ -36,7 +36,7 @@ def score_in_process(config: RunConfig, warm_up: int, on_progress: Progress | No
                 return message
             if on_progress is not None:
                 on_progress(*message)
-    except EOFError:
+    except (EOFError, OSError):  # the second in the middle of a message
         process.join()
         return Broken(_how_it_died(process.exitcode))
     finally:
@@ -57,11 +57,8 @@ def _score(results: Connection, config: RunConfig, warm_up: int) -> None:
         return
     except Exception as error:
         raised = traceback.extract_tb(error.__traceback__)[-1]
-        text = " ".join(str(error).split())
-        place = f"{raised.filename}, line {raised.lineno}"
-        results.send(
-            Broken(f"{type(error).__name__}: {text} ({place})" if text else f"{type(error).__name__} ({place})")
-        )
+        words = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(":")
+        results.send(Broken(f"{words} ({raised.filename}, line {raised.lineno})"))
 
 
 def _how_it_died(code: int | None) -> str:

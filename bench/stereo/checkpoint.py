@@ -34,9 +34,9 @@ def load_state(path: Path) -> dict[str, Tensor]:
         foreign = re.search(r"[Uu]nsupported (?:global: GLOBAL|class) ([\w.]+)", str(error))
         if foreign:
             raise BenchError(
-                f"The checkpoint {path} holds a pickled Python object ({foreign[1]}), not only tensors; reading it would "
-                "run code from the file. Load it with the network's own code, save `model.state_dict()` with torch.save, "
-                "and give that file."
+                f"The checkpoint {path} holds a pickled Python object ({foreign[1]}), not only tensors; reading it "
+                "would run code from the file. Load it with the network's own code, save `model.state_dict()` with "
+                "torch.save, and give that file."
             ) from error
         raise BenchError(
             f"The checkpoint {path} can't be read: it is damaged, or no file of torch.save "

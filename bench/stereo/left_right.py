@@ -10,7 +10,7 @@ from bench.types import Image, Map, Mask
 
 
 def left_right_checked(matcher: Matcher, left: Image, right: Image, max_px: float) -> Map:
-    """Disparity (H, W), NaN where that of the right image differs by more than ``max_px``: occlusions and wrong matches.
+    """Disparity (H, W), NaN where the right image's differs by more than ``max_px``: occlusions and wrong matches.
 
     Costs a second match: the right image's disparities are those of the mirrored pair with its sides exchanged.
     """

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class StereoGraph:
     """How to talk to an ONNX stereo network.
 
-    ``left``, ``right``, ``output`` are tensor names, or positions such as "0". ``stacked`` says how one input takes both
-    views: "" for two inputs, "channels" for (1, 6, H, W), "batch" for (2, 3, H, W); ``left`` then names that input.
+    ``left``, ``right``, ``output`` are tensor names, or positions such as "0". ``stacked`` says how one input takes
+    both views: "" for two inputs, "channels" for (1, 6, H, W), "batch" for (2, 3, H, W); ``left`` then names that one.
     ``layout`` is "nchw" or "nhwc". ``colours``: "unit" (RGB 0 to 1), "raw" (0 to 255), "signed" (-1 to 1), "imagenet"
     (unit, less ImageNet's mean, by its standard deviation).
     ``fit``: "resize" to the size that the file fixes, "pad" to it, "auto" to pad an image that fits and resize one that

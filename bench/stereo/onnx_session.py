@@ -21,7 +21,7 @@ def open_session(path: Path, device: str, threads: int) -> Any:
     ``threads`` is for the CPU; 0 takes as many as torch has been given. Raises ``BenchError`` for a file that
     onnxruntime can't read, and for ``device=cuda`` where it has no CUDA.
     """
-    import onnxruntime  # noqa: PLC0415 - slow to import, and only this plugin needs it
+    import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads or torch.get_num_threads()
@@ -36,13 +36,13 @@ def open_session(path: Path, device: str, threads: int) -> Any:
     # onnxruntime raises a dozen own classes, none of them public.
     except Exception as error:
         raise BenchError(
-            f"onnxruntime can't open {path}: {_first_line(error)}. Is it an ONNX file, with the side files (*.data) that "
-            "it names beside it?"
+            f"onnxruntime can't open {path}: {_first_line(error)}. Is it an ONNX file, with the side files (*.data) "
+            "that it names beside it?"
         ) from error
 
 
 def find_tensor(tensors: list[Any], wanted: str, setting: str, path: Path) -> Any:
-    """The input or output called ``wanted``, or at that position ("0", "1", ...); ``BenchError`` lists what there is."""
+    """The input or output called ``wanted``, or at that position ("0", ...); ``BenchError`` lists what there is."""
     names = [tensor.name for tensor in tensors]
     if wanted in names:
         return tensors[names.index(wanted)]
@@ -67,8 +67,8 @@ def run_session(session: Any, outputs: list[str], feed: dict[str, Any], path: Pa
     except Exception as error:
         fed = ", ".join(f"'{name}' {value.shape} {value.dtype}" for name, value in feed.items())
         raise BenchError(
-            f"{path} can't compute with {fed}: {_first_line(error)}. Does stereo.preset, or fit, pad_multiple and layout, "
-            "describe this network?"
+            f"{path} can't compute with {fed}: {_first_line(error)}. Does stereo.preset, or fit, pad_multiple and "
+            "layout, describe this network?"
         ) from error
     return answer
 

@@ -30,5 +30,5 @@ class Igev(UpstreamNetwork):
             "max_disp": 192,
         },
         iterations=16,
-        patches=("timm",),
+        patches=("torchvision", "timm"),
     )

@@ -35,5 +35,5 @@ class IgevPlusPlus(UpstreamNetwork):
             "l_disp_interval": 4,
         },
         iterations=32,
-        patches=("timm",),
+        patches=("torchvision", "timm"),
     )

@@ -32,5 +32,5 @@ class Mocha(UpstreamNetwork):
             "max_disp": 192,
         },
         iterations=32,
-        patches=("timm",),
+        patches=("torchvision", "timm"),
     )

@@ -90,7 +90,7 @@ class OnnxStereo(StereoNetwork):
         return None
 
     def match(self, left: Image, right: Image) -> Map:
-        """One pass of the graph over a pair; raises ``BenchError`` where the graph refuses it or gives another shape."""
+        """One pass of the graph over a pair; raises ``BenchError`` where it refuses it or gives another shape."""
         pair, shape, window = self._fitted(left, right)
         values = [self._as_input(image) for image in pair]
         if self._graph.stacked:
@@ -141,7 +141,8 @@ class OnnxStereo(StereoNetwork):
         shape = self._inputs[0].shape
         sides, channels = (shape[2:], shape[1]) if self._graph.layout == "nchw" else (shape[1:3], shape[3])
         expected = 6 if self._graph.stacked == "channels" else 3
-        if isinstance(channels, int) and channels != expected:
+        other = shape[3] if self._graph.layout == "nchw" else shape[1]
+        if channels != expected and (isinstance(channels, int) or other == expected):
             raise BenchError(
                 f"{self._path}: {describe(self._inputs[0])} does not have {expected} channels where "
                 f"stereo.layout={self._graph.layout} says. Try the other layout, or stereo.stacked."

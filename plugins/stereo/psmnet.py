@@ -27,7 +27,7 @@ class PsmNetStereo(TorchStereo):
         assert self.weights_path is not None
         network = PsmNet()
         fit_state(network, load_state(self.weights_path), self.weights_path)
-        network = fold_batch_norms(network.eval())
+        fold_batch_norms(network.eval())
         for parameter in network.parameters():
             if parameter.dim() in (4, 5):
                 layout = torch.channels_last if parameter.dim() == 4 else torch.channels_last_3d

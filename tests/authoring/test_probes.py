@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench.authoring.cost import cost_of, describe_cost
 from bench.authoring.loss_checks import make_case
-from bench.authoring.probes import cost_of, describe_cost, shifted_pair, texture
+from bench.authoring.probes import shifted_pair, texture
 from bench.authoring.verdict import ContractBrokenError
 
 

@@ -183,6 +183,7 @@ for i in range(2):
 """
 
 
+@pytest.mark.slow
 def test_processes_that_start_at_once_compute_once(tmp_path: Path) -> None:
     code = _PROCESS.format(here=str(Path(__file__).parent), log=str(tmp_path / "log"), cache=str(tmp_path / "cache"))
     processes = [

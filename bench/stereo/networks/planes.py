@@ -1,7 +1,7 @@
 """3D convolutions over few channels and few disparities, as 2D convolutions that have the planes as channels.
 
-Libraries are built for many channels: with 4 channels and 5 disparities, torch's 3D convolution on a CPU takes ten times
-as long as the 2D one with 20 channels, though that also multiplies by the zeros of its banded weights.
+Libraries are built for many channels: with 4 channels and 5 disparities, torch's 3D convolution on a CPU takes ten
+times as long as the 2D one with 20 channels, though that also multiplies by the zeros of its banded weights.
 """
 
 from __future__ import annotations
@@ -18,9 +18,13 @@ class PlaneAggregation(nn.Module):
     kernels are 3 x 3 x 3 with padding 1; the chain begins and ends with one channel.
     """
 
-    def __init__(self, chain: nn.Sequential, planes: int) -> None:
+    gain: Tensor
+    offset: Tensor
+
+    def __init__(self, chain: nn.Module, planes: int) -> None:
         super().__init__()
-        norms, convolutions = [block[0] for block in chain], [block[2] for block in chain]
+        norms = [module for module in chain.modules() if isinstance(module, nn.BatchNorm3d)]
+        convolutions = [module for module in chain.modules() if isinstance(module, nn.Conv3d)]
         gain, offset = batch_norm_affine(norms[0])
         self.register_buffer("gain", gain)
         self.register_buffer("offset", offset)
@@ -53,9 +57,8 @@ def banded_weight(weight: Tensor, planes: int) -> Tensor:
     return torch.einsum("oikyx,kpq->opiqyx", weight, bands).reshape(outputs * planes, inputs * planes, 3, 3)
 
 
-def batch_norm_affine(norm: nn.Module) -> tuple[Tensor, Tensor]:
+def batch_norm_affine(norm: nn.BatchNorm3d) -> tuple[Tensor, Tensor]:
     """Gain and offset (C,) by which a batch normalisation acts in evaluation mode."""
-    assert isinstance(norm, nn.BatchNorm2d | nn.BatchNorm3d)
     assert norm.running_mean is not None
     assert norm.running_var is not None
     gain = norm.weight / torch.sqrt(norm.running_var + norm.eps)

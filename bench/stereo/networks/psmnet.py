@@ -1,8 +1,8 @@
 """PSMNet (Chang and Chen, "Pyramid Stereo Matching Network", CVPR 2018) with the stacked hourglass, for inference.
 
-Features at 1/4 with pooling over four sizes, a volume of both images' features over 48 disparities, three 3D hourglasses,
-and a soft arg-min over 192 disparities. Module names are the published checkpoints' keys. Bilinear and trilinear
-up-sampling align corners, as in the torch that the checkpoints were trained with.
+Features at 1/4 with pooling over four sizes, a volume of both images' features over 48 disparities, three 3D
+hourglasses, and a soft arg-min over 192 disparities. Module names are the published checkpoints' keys. Bilinear and
+trilinear up-sampling align corners, as in the torch that the checkpoints were trained with.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ class PsmNet(nn.Module):
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         """Disparity of the third hourglass, whose costs are the sum of all three."""
         of_left, of_right = self.feature_extraction(left), self.feature_extraction(right)
-        convolution, norm = self.dres0[0]
+        convolution, norm = self.dres0.get_submodule("0.0"), self.dres0.get_submodule("0.1")
+        assert isinstance(convolution, nn.Conv3d)
         values = volume_convolution(of_left, of_right, convolution.weight, convolution.bias, MAX_DISPARITY // 4)
         values = self.dres0[1:](norm(values))
         values = self.dres1(values).add_(values)

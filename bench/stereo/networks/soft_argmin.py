@@ -18,14 +18,13 @@ def upsampled_soft_argmin(score: Tensor, disparities: int, shape: tuple[int, int
     """
     levels = score.shape[0]
     fine = functional.interpolate(score[None], tuple(shape), mode="bilinear", align_corners=True)[0]
-    # Of the volume's own values the largest is no smaller than any interpolated one: exp can't overflow.
-    fine -= fine.amax(0)
     to_disparities = _linear_interpolation(levels, disparities).to(fine)
     count = torch.arange(disparities, dtype=fine.dtype, device=fine.device)
     moments = torch.stack((torch.ones_like(count), count))
     rows = []
     for part in fine.split(_ROWS, dim=1):
-        share = torch.mm(to_disparities, part.reshape(levels, -1)).exp_()
+        share = torch.mm(to_disparities, part.reshape(levels, -1))
+        share = share.sub_(share.amax(0)).exp_()
         total, weighted = torch.mm(moments, share)
         rows.append((weighted / total).view(part.shape[1:]))
     return torch.cat(rows)[None, None]

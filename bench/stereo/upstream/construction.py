@@ -45,7 +45,7 @@ def patched(patches: Sequence[str], stand_ins: Sequence[str], root: Path) -> Ite
     """The named changes for as long as a network is imported and built; ``root`` is its checkout's import root."""
     with ExitStack() as stack:
         for module in stand_ins:
-            if importlib.util.find_spec(module) is None:
+            if module not in sys.modules and importlib.util.find_spec(module) is None:
                 sys.modules[module] = StandIn(module)
         stack.enter_context(_replaced(torch.hub, "load_state_dict_from_url", _refuse_download))
         for patch in patches:

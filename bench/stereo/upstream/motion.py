@@ -26,8 +26,8 @@ def motion_between(before: Image, depth_before: Map, now: Image, camera: StereoC
     """``T_now_before`` (4, 4): takes points of the left camera's frame at ``before`` into that at ``now``, in metres.
 
     Corners of known depth (H, W; metres, NaN where unknown) are tracked into the image ``now`` (Lucas and Kanade 1981,
-    in a pyramid, forth and back) and resected with RANSAC and a last refinement over those that agree. None when too few of them agree on one rigid motion. The
-    same input gives the same bits: OpenCV's RANSAC starts from a fixed seed.
+    in a pyramid, forth and back) and resected: EPnP in RANSAC, then least squares over those that agree. None when too
+    few of them agree on one rigid motion. The same input gives the same bits: OpenCV's RANSAC has a fixed seed.
     """
     grey_before, grey_now = _grey(before), _grey(now)
     corners = _corners(grey_before, depth_before)
@@ -49,11 +49,11 @@ def motion_between(before: Image, depth_before: Map, now: Image, camera: StereoC
     )
     if not found or inliers is None or len(inliers) < max(_LEAST_INLIERS, _LEAST_INLIER_SHARE * len(corners)):
         return None
+    # EPnP alone is several times less accurate: 5 cm for 1 cm between two frames of KITTI 06.
     agree = inliers[:, 0]
-    if REFINE:
-        rotation, translation = cv2.solvePnPRefineLM(
-            points[agree], pixels[agree], camera.intrinsics, None, rotation, translation
-        )
+    rotation, translation = cv2.solvePnPRefineLM(
+        points[agree], pixels[agree], camera.intrinsics, None, rotation, translation
+    )
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = cv2.Rodrigues(rotation)[0], translation[:, 0]
     return T

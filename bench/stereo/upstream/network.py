@@ -11,6 +11,7 @@ import numpy as np
 from omegaconf import OmegaConf
 
 import bench
+from bench import registry
 from bench.errors import BenchError, require_choice
 from bench.peers.messages import Array, Message
 from bench.peers.process import PeerFailure, PeerProcess
@@ -41,6 +42,9 @@ class UpstreamConfig(NetworkConfig):
     """Folder of the authors' repository, as `git clone` makes it."""
     onnx: str = field(default="", metadata={"path": True})
     """An ONNX file made from the network; it takes the place of checkout and weights."""
+    onnx_preset: str = "left_right_disp"
+    """Preset of stereo=onnx that describes the file. This one: inputs left and right, RGB from 0 to 255; output disp,
+    positive, in pixels."""
     iterations: int = 0
     """Updates of the recurrent network; 0: as many as its authors use on KITTI."""
     python: str = field(default="", metadata={"path": True})
@@ -64,8 +68,6 @@ class UpstreamNetwork(StereoNetwork):
 
     def __init__(self, config: UpstreamConfig) -> None:
         """Start and load the network; raises ``BenchError`` that says what is missing and where to get it."""
-        if config.onnx and config.checkout:
-            raise BenchError("stereo.checkout and stereo.onnx are both set; give the one that is to be used.")
         if not config.onnx and not config.checkout:
             raise BenchError(self._how_to_begin(config))
         _check(config, self.recipe)
@@ -114,7 +116,8 @@ class UpstreamNetwork(StereoNetwork):
             self._process.close()
 
     def _start(self) -> None:
-        config = self._config
+        config, checkpoint = self._config, self.weights_path
+        assert checkpoint is not None
         package = Path(bench.__file__).parent
         command = [config.python or sys.executable, "-c", _START, str(package)]
         # The bench's own interpreter finds everything as it is; only for another one the folder is taken away.
@@ -130,7 +133,7 @@ class UpstreamNetwork(StereoNetwork):
                 {
                     "recipe": recipe,
                     "root": str(self._root.absolute()),
-                    "checkpoint": str(self.weights_path),
+                    "checkpoint": str(checkpoint.absolute()),
                     "device": config.device,
                     "trust_pickle": config.trust_pickle,
                 },
@@ -144,6 +147,8 @@ class UpstreamNetwork(StereoNetwork):
         if self.recipe.arguments_file:
             assert self.weights_path is not None
             arguments |= _read_arguments(self.weights_path.with_name(self.recipe.arguments_file))
+        if "precision_dtype" in arguments:
+            arguments["precision_dtype"] = self._config.dtype
         return arguments | {"mixed_precision": self._config.dtype == "float16"}
 
     def _ask(self, message: Message, timeout_s: float) -> Message:
@@ -176,6 +181,14 @@ class UpstreamNetwork(StereoNetwork):
 
 
 def _check(config: UpstreamConfig, recipe: UpstreamRecipe) -> None:
+    if config.onnx:
+        for key in ("checkout", "weights", "iterations"):
+            if getattr(config, key):
+                raise BenchError(
+                    f"stereo.{key} and stereo.onnx are both set, but an ONNX file has it all inside. Give one of them."
+                )
+        if not Path(config.onnx).expanduser().is_file():
+            raise BenchError(f"stereo.onnx={config.onnx} is no file. Correct the path.")
     require_choice("stereo.dtype", config.dtype, ("float32", "float16"))
     if config.iterations and config.iterations < recipe.least_iterations:
         raise BenchError(
@@ -202,4 +215,9 @@ def _read_arguments(path: Path) -> dict[str, Any]:
 
 
 def _onnx_network(config: UpstreamConfig) -> StereoNetwork:
-    raise NotImplementedError
+    """The plugin for any ONNX file, told how to talk to this one; scale, tiles and checks stay here."""
+    onnx = registry.lookup("stereo", "onnx").config
+    settings = {"weights": config.onnx, "preset": config.onnx_preset, "device": config.device, "dtype": config.dtype}
+    network = registry.build(onnx(name="onnx", **settings), "stereo")
+    assert isinstance(network, StereoNetwork)
+    return network

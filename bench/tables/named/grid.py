@@ -1,0 +1,266 @@
+"""A named table as lines of cells with their marks, the same for every format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from bench.tables.named.definitions import MethodRow, Metric
+from bench.tables.named.fill import FilledTable, Statistic
+from bench.tables.named.published import AVERAGE, PublishedValue, read_published, read_references
+from bench.tables.static_camera import NAME as STATIC_CAMERA
+
+DAGGER, CROSS, MINUS = "\u2020", "\u00d7", "\u2212"
+OURS, PAPER, ELSEWHERE, COMPUTED = "ours", "paper", "elsewhere", "computed"
+COMPARED = "vs. paper"
+"""The paper's number of another method, below ours of a method that the paper does not have."""
+WITHHELD = "withheld"
+
+
+@dataclass(frozen=True)
+class GridCell:
+    """What a cell shows. ``value`` is the number behind it where there is one, a mean over ``n`` runs of ours;
+    ``runs`` are seed and folder of each."""
+
+    text: str = ""
+    n: int = 0
+    mark: str = ""
+    best: bool = False
+    value: float | None = None
+    runs: tuple[tuple[int, Path], ...] = ()
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line: whose numbers (``by``), of which method, which metric (None: the columns are metrics), its cells."""
+
+    by: str
+    method: str
+    metric: Metric | None
+    cells: tuple[GridCell, ...]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """``columns`` head the cells; ``blocks`` are the methods, each with its lines."""
+
+    name: str
+    title: str
+    columns: tuple[str, ...]
+    blocks: tuple[tuple[Line, ...], ...]
+    has_metric_column: bool
+
+
+@dataclass(frozen=True)
+class _Slot:
+    """Where a number belongs: the column's sequence (or "average") and its metric."""
+
+    sequence: str
+    metric: Metric
+
+
+def heading(metric: Metric) -> str:
+    """Title, unit and which way is better: ``ATE [m] ↓``."""
+    unit = f" [{metric.unit}]" if metric.unit else ""
+    return f"{metric.title}{unit} {'↓' if metric.better == 'lower' else '↑'}"
+
+
+class PublishedNumbers:
+    """The published numbers of a table by method, metric and sequence."""
+
+    def __init__(self, table: str) -> None:
+        self.paper = read_published(table)
+        self.references = read_references(table)
+        self._by_key = {(v.method, v.metric, v.sequence): v for v in [*self.paper, *self.references]}
+
+    def get(self, method: str, metric: str, sequence: str) -> PublishedValue | None:
+        """The number, or None; ``BenchError`` was raised before for a damaged file."""
+        return self._by_key.get((method, metric, sequence))
+
+    def reference_methods(self) -> list[str]:
+        """Methods that come from elsewhere, in the file's order."""
+        return list(dict.fromkeys(value.method for value in self.references))
+
+
+def build_grid(filled: FilledTable, published: PublishedNumbers) -> Grid:
+    """Blocks in the paper's order, then the static camera and other references; the best of each column marked."""
+    table = filled.table
+    builder = _Builder(filled, published)
+    blocks = [builder.block(row) for row in table.rows]
+    static = [_static_camera(filled)] if any(metric.key == "ate_rmse_m" for metric in table.metrics) else []
+    references = [builder.reference(method) for method in published.reference_methods()]
+    marked = _mark_best(blocks, PAPER, filled)
+    marked = _mark_best(marked, OURS, filled)
+    across_sequences = table.across == "sequences"
+    columns = [_sequence_heading(filled, sequence) for sequence in table.sequences] + ["Average"]
+    columns = columns if across_sequences else [heading(metric) for metric in table.metrics]
+    shown = tuple(_dagger_at_name(block) for block in [*marked, *static, *references] if block)
+    return Grid(table.name, table.title, tuple(columns), shown, across_sequences)
+
+
+class _Builder:
+    def __init__(self, filled: FilledTable, published: PublishedNumbers) -> None:
+        self._filled = filled
+        self._published = published
+
+    def block(self, row: MethodRow) -> list[Line]:
+        """Lines of a method: ours above the paper's, metric by metric."""
+        ours = self._lines(OURS, row.label, lambda slot: self._our_cell(row, slot)) if row.overrides else []
+        compared = row.published or row.compared_with
+        by = PAPER if row.published else COMPARED
+        paper = self._lines(by, row.label, lambda slot: self._paper_cell(row, compared, slot))
+        if not row.published and not any(cell.value is not None for line in ours for cell in line.cells):
+            paper = []
+        pairs = zip(ours, paper, strict=True) if ours and paper else ((line,) for line in ours or paper)
+        return [line for pair in pairs for line in pair if line.by == OURS or any(cell.text for cell in line.cells)]
+
+    def reference(self, method: str) -> list[Line]:
+        """Lines of a method whose numbers come from elsewhere; only metrics that have a place in the table."""
+        by = COMPUTED if method.startswith(STATIC_CAMERA) else ELSEWHERE
+        lines = self._lines(by, method, lambda slot: _published_cell(self._published_at(method, slot)))
+        return [line for line in lines if any(cell.text for cell in line.cells)]
+
+    def _lines(self, by: str, method: str, cell: Callable[[_Slot], GridCell]) -> list[Line]:
+        table = self._filled.table
+        if table.across == "metrics":
+            cells = tuple(cell(_Slot(table.sequences[0], metric)) for metric in table.metrics)
+            return [Line(by, method, None, cells)]
+        columns = (*table.sequences, AVERAGE)
+        return [
+            Line(by, method, metric, tuple(cell(_Slot(sequence, metric)) for sequence in columns))
+            for metric in table.metrics
+        ]
+
+    def _published_at(self, method: str, slot: _Slot) -> PublishedValue | None:
+        return self._published.get(method, slot.metric.key, slot.sequence)
+
+    def _our_cell(self, row: MethodRow, slot: _Slot) -> GridCell:
+        table = self._filled.table
+        if slot.sequence == AVERAGE:
+            parts = [self._filled.cells.get((row.label, sequence)) for sequence in table.sequences]
+            mark = DAGGER if any(cell is not None and cell.is_part for cell in parts) else ""
+            return _statistic_cell(self._filled.average(row.label, slot.metric), slot.metric, mark)
+        cell = self._filled.cells.get((row.label, slot.sequence))
+        if cell is None:
+            return GridCell(WITHHELD if self._filled.facts[slot.sequence].withheld else "")
+        runs = tuple((run.seed, run.folder) for run in cell.shown or cell.without_numbers)
+        if not cell.shown:
+            return GridCell(CROSS if cell.state == "out of memory" else cell.state, runs=runs)
+        if slot.metric.key == "peak_memory_gb" and any(run.state == "out of memory" for run in cell.shown):
+            return GridCell(CROSS, runs=runs)
+        found = _statistic_cell(cell.statistic(slot.metric), slot.metric, DAGGER if cell.is_part else "")
+        return replace(found, runs=runs)
+
+    def _paper_cell(self, row: MethodRow, method: str, slot: _Slot) -> GridCell:
+        """The paper's number, and in brackets how far ours is from it; a dagger is on the method's name."""
+        published = self._published_at(method, slot)
+        shown = _published_cell(published)
+        ours = self._our_cell(row, slot).value if row.overrides else None
+        if published is None or shown.value is None or ours is None:
+            return shown
+        decimals = len(published.value.partition(".")[2])
+        return replace(shown, text=f"{shown.text} ({_signed(ours - shown.value, decimals)})")
+
+
+def _published_cell(published: PublishedValue | None) -> GridCell:
+    if published is None:
+        return GridCell()
+    if published.status == "cross":
+        return GridCell(CROSS)
+    mark = DAGGER if published.status == "dagger" else ""
+    return GridCell(published.value or "n/r", mark=mark, value=published.number)
+
+
+def _statistic_cell(found: Statistic | None, metric: Metric, mark: str) -> GridCell:
+    if found is None:
+        return GridCell()
+    spread = "" if found.std is None else f" ± {found.std:.{metric.decimals}f}"
+    return GridCell(f"{found.mean:.{metric.decimals}f}{spread}", found.n, mark, value=found.mean)
+
+
+def _signed(difference: float, decimals: int) -> str:
+    return f"{difference:+.{decimals}f}".replace("-", MINUS)
+
+
+def _sequence_heading(filled: FilledTable, sequence: str) -> str:
+    """As in the paper, with km and frames: ``03 (0.56/801)``."""
+    facts = filled.facts[sequence]
+    frames = f"{facts.frames / 1000:g}k" if facts.frames_rounded_to > 1 else str(facts.frames)
+    return f"{sequence} ({facts.length_km:g}/{frames})"
+
+
+def _static_camera(filled: FilledTable) -> list[Line]:
+    """What a camera that never moves gets on the frames of our runs; empty without runs."""
+    table = filled.table
+    metric = next(metric for metric in table.metrics if metric.key == "ate_rmse_m")
+    cells = []
+    for sequence in table.sequences:
+        known = [
+            (cell.frames, run.static_camera_m, cell.is_part)
+            for (_, column), cell in filled.cells.items()
+            if column == sequence
+            for run in cell.shown
+            if run.static_camera_m is not None
+        ]
+        if not known:
+            cells.append(GridCell(WITHHELD if filled.facts[sequence].withheld else ""))
+            continue
+        _, error, is_part = max(known, key=lambda item: item[0])
+        cells.append(GridCell(f"{error:.{metric.decimals}f}", mark=DAGGER if is_part else "", value=error))
+    values = [cell.value for cell in cells if cell.value is not None]
+    average = GridCell()
+    if len(values) == len(cells):
+        mean = sum(values) / len(values)
+        mark = DAGGER if any(cell.mark for cell in cells) else ""
+        average = GridCell(f"{mean:.{metric.decimals}f}", mark=mark, value=mean)
+    return [Line(COMPUTED, f"{STATIC_CAMERA}, frames of our runs", metric, (*cells, average))]
+
+
+def _mark_best(blocks: Sequence[list[Line]], by: str, filled: FilledTable) -> list[list[Line]]:
+    """Mark the best values among the lines ``by`` one source, column by column; nothing where only one has a value."""
+    table = filled.table
+
+    def best_at(metric: Metric, column: int) -> float | None:
+        values = [
+            line.cells[column].value
+            for line in _by(blocks, by)
+            if (line.metric or table.metrics[column]) is metric and line.cells[column].value is not None
+        ]
+        known = [value for value in values if value is not None]
+        if len(known) < 2:
+            return None
+        return min(known) if metric.better == "lower" else max(known)
+
+    best = {
+        (metric.key, column): best_at(metric, column)
+        for metric in table.metrics
+        for column in range(len(table.sequences) + 1 if table.across == "sequences" else len(table.metrics))
+    }
+
+    def marked(line: Line) -> Line:
+        if line.by != by:
+            return line
+        cells = []
+        for column, cell in enumerate(line.cells):
+            metric = line.metric or table.metrics[column]
+            is_best = cell.value is not None and cell.value == best[metric.key, column]
+            cells.append(replace(cell, best=is_best))
+        return replace(line, cells=tuple(cells))
+
+    return [[marked(line) for line in block] for block in blocks]
+
+
+def _dagger_at_name(block: Sequence[Line]) -> tuple[Line, ...]:
+    """Put the dagger on the method's name where all its numbers have one, as the paper does."""
+    known = [cell for line in block for cell in line.cells if cell.value is not None]
+    if not known or not all(cell.mark for cell in known):
+        return tuple(block)
+    return tuple(
+        replace(line, method=line.method + DAGGER, cells=tuple(replace(cell, mark="") for cell in line.cells))
+        for line in block
+    )
+
+
+def _by(blocks: Iterable[list[Line]], by: str) -> Iterable[Line]:
+    return (line for block in blocks for line in block if line.by == by)

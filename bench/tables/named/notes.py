@@ -1,0 +1,139 @@
+"""What stands below a named table: how to read it, on which data and under which settings its numbers were made."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+
+from bench.tables.collect import Row
+from bench.tables.named.definitions import NamedTable
+from bench.tables.named.fill import FilledTable, differences
+from bench.tables.named.grid import CROSS, DAGGER, Grid, PublishedNumbers
+from bench.tables.named.published import AVERAGE, PublishedValue
+from bench.tables.named.records import RunRecord
+from bench.tables.render import footnotes
+
+# Of a run's settings, what a reader wants to know first; the rest is in each run's config.yaml.
+_STATED = (
+    ("dataset.frames", "frames"),
+    ("stereo.name", "stereo"),
+    ("sky.name", "sky"),
+    ("tracker.name", "tracker"),
+    ("mapper.name", "mapper"),
+    ("mapper.iterations", "iterations"),
+    ("rasterizer.name", "rasterizer"),
+)
+_VIEWS = {
+    "left": "all left views",
+    "heldout": "left views that mapping never saw",
+    "right": "right views",
+}
+
+
+def notes(
+    filled: FilledTable, published: PublishedNumbers, grid: Grid, views: str, problems: Sequence[str]
+) -> list[str]:
+    """One sentence or two each; nothing that depends on when or where the table was made."""
+    table = filled.table
+    found = [_legend(filled, grid, views)]
+    found += [table.about] if table.about else []
+    found += _withheld(filled)
+    found += _parts(filled)
+    found += _settings(filled)
+    if different := differences(filled):
+        found.append(f"Settings that differ between cells that are compared: {', '.join(different)}.")
+    shown = _shown_runs(filled)
+    if shown:
+        rows = [Row({"run": where}, dict(run.protocol), run.notes) for where, run in shown]
+        found += footnotes(rows)
+    found += [f"{row}, {sequence}: {note}." for (row, sequence), cell in filled.cells.items() for note in cell.notes]
+    if filled.left_out:
+        runs = "1 run belongs" if filled.left_out == 1 else f"{filled.left_out} runs belong"
+        found.append(f"{runs} to no cell of this table.")
+    found += [f"Not read: {problem}" for problem in problems]
+    return found + _about_published(table, published, grid)
+
+
+def _legend(filled: FilledTable, grid: Grid, views: str) -> str:
+    cells = [cell for block in grid.blocks for line in block for cell in line.cells]
+    text = (
+        "Lines ours: mean ± sample standard deviation over seeds (number of runs); below it the paper's number, and in "
+        "brackets ours minus the paper's. Bold: the best of the paper's numbers, and the best of ours."
+    )
+    if filled.table.across == "sequences":
+        text += " Below a sequence: km/frames, as in the paper."
+    if any(DAGGER in line.method for block in grid.blocks for line in block) or any(cell.mark for cell in cells):
+        text += f" {DAGGER} on part of the sequence."
+    if any(cell.text == CROSS for cell in cells):
+        text += f" {CROSS} out of memory."
+    if any(cell.text == "n/r" for cell in cells):
+        text += " n/r: not reported."
+    if filled.cells and any(metric.key == "psnr_db" for metric in filled.table.metrics):
+        text += f" Our image and depth metrics are of {_VIEWS[views]}."
+    return text
+
+
+def _withheld(filled: FilledTable) -> list[str]:
+    return [f"{name}: {facts.withheld}." for name, facts in filled.facts.items() if facts.withheld]
+
+
+def _parts(filled: FilledTable) -> list[str]:
+    """Which cells are of part of a sequence, and of how much."""
+    by_amount: dict[str, list[str]] = defaultdict(list)
+    for (row, sequence), cell in filled.cells.items():
+        if cell.is_part:
+            by_amount[f"{cell.frames} of {filled.facts[sequence].frames} frames of {sequence}"].append(row)
+    return [f"{DAGGER} {amount}: {', '.join(rows)}." for amount, rows in by_amount.items()]
+
+
+def _settings(filled: FilledTable) -> list[str]:
+    """One line for each set of settings, with the methods that used it."""
+    users: dict[str, list[str]] = defaultdict(list)
+    for (row, _), cell in filled.cells.items():
+        seeds = ", ".join(str(run.seed) for run in cell.shown)
+        parts = [
+            f"{title} {cell.settings[key].strip(chr(34)) or 'all'}" for key, title in _STATED if key in cell.settings
+        ]
+        text = "; ".join([*parts, f"seeds {seeds or 'none'}"])
+        if row not in users[text]:
+            users[text].append(row)
+    return [f"Settings of {', '.join(rows)}: {text}." for text, rows in users.items()]
+
+
+def _shown_runs(filled: FilledTable) -> list[tuple[str, RunRecord]]:
+    return [
+        (f"{row} {sequence} seed {run.seed}", run)
+        for (row, sequence), cell in filled.cells.items()
+        for run in cell.shown
+    ]
+
+
+def _about_published(table: NamedTable, published: PublishedNumbers, grid: Grid) -> list[str]:
+    """The notes in the CSV files, the numbers that have no place in the table, and where references come from."""
+    found = []
+    remarks: dict[tuple[str, str], None] = {}
+    for value in published.paper:
+        if value.note:
+            where = "" if table.across == "metrics" else f", {_titles(table).get(value.metric, value.metric)}"
+            remarks[f"{value.method}{where}{', average' if value.sequence == AVERAGE else ''}", value.note] = None
+    found += [f"The paper's {where}: {note}." for where, note in remarks]
+    shown = {line.method.rstrip(DAGGER) for block in grid.blocks for line in block}
+    sources: dict[str, list[str]] = defaultdict(list)
+    for value in published.references:
+        has_place = value.metric in _titles(table) and value.sequence in (*table.sequences, AVERAGE)
+        if value.method in shown and has_place:
+            text = f"{value.method} ({value.note})" if value.note else value.method
+        else:
+            text = f"{value.method} {value.value} {value.unit} ({_where(value)})"
+        if text not in sources[value.source]:
+            sources[value.source].append(text)
+    return found + [f"{'; '.join(texts)}: {source}." for source, texts in sources.items()]
+
+
+def _where(value: PublishedValue) -> str:
+    parts = [f"sequence {value.sequence}" if value.sequence else "KITTI", *([value.note] if value.note else [])]
+    return ", ".join(parts)
+
+
+def _titles(table: NamedTable) -> dict[str, str]:
+    return {metric.key: metric.title for metric in table.metrics}
