@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.authoring import cost, probes
-from bench.authoring.units import Medians, explain_units
+from bench.authoring.units import Medians, explain_sizes, explain_units, is_accurate
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.contracts.stereo import StereoBackbone
 from bench.types import Image, Map, StereoFrame
@@ -75,8 +75,8 @@ def _nan_rule(subject: Subject) -> str:
     return "unknown is NaN, also in equal, grey and black images"
 
 
-def _units(subject: Subject) -> str:
-    texts = []
+def _units(subject: Subject) -> str | Note:
+    found: list[Medians] = []
     for size in (SIZE, ODD_SIZE):
         medians, known = [], []
         for shift in SHIFTS_PX:
@@ -93,10 +93,13 @@ def _units(subject: Subject) -> str:
                 "raise the largest disparity or loosen the test that throws pixels away; are the images exchanged?",
                 "disparity",
             )
-        explain_units(Medians(np.array(SHIFTS_PX, float), np.array(medians), size))
-        texts.append(", ".join(f"{median:.1f}" for median in medians))
+        found.append(Medians(np.array(SHIFTS_PX, float), np.array(medians), size))
+        explain_units(found[-1])
+    explain_sizes(*found)
+    texts = [", ".join(f"{median:.1f}" for median in medians.answered) for medians in found]
     true = ", ".join(map(str, SHIFTS_PX))
-    return f"walls at {true} px: medians {texts[0]} px; at {ODD_SIZE[1]}x{ODD_SIZE[0]}: {texts[1]} px"
+    text = f"walls at {true} px: medians {texts[0]} px; at {ODD_SIZE[1]}x{ODD_SIZE[0]}: {texts[1]} px"
+    return text if all(map(is_accurate, found)) else Note(f"{text}: the right units, but not accurate")
 
 
 def _left_image(subject: Subject) -> str | Note:

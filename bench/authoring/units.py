@@ -9,7 +9,11 @@ import numpy as np
 from bench.authoring.verdict import ContractBrokenError
 from bench.types import Float
 
-_TOLERANCE_PX, _TOLERANCE_SHARE = 1.5, 0.06
+# Units are wrong by more than this; networks that are merely inaccurate on made-up walls are within it.
+_TOLERANCE_PX, _TOLERANCE_SHARE = 1.5, 0.15
+# What two image sizes may differ by: an error of the network is the same in both, a forgotten rescaling is not.
+_SIZE_TOLERANCE = 0.04
+_ACCURATE_SHARE = 0.05
 _EXPECTED = "pixels of the full-size image, positive: left[y, x] is right[y, x - d]"
 
 
@@ -32,6 +36,26 @@ def explain_units(medians: Medians) -> None:
     raise ContractBrokenError(f"{seen}: {_reason(medians)[0]}", _EXPECTED, _reason(medians)[1], "disparity")
 
 
+def explain_sizes(first: Medians, second: Medians) -> None:
+    """Raise ``ContractBrokenError`` where disparities are scaled otherwise in images of another width."""
+    ratios = [float(np.median(medians.answered / medians.true)) for medians in (first, second)]
+    if abs(ratios[1] / ratios[0] - 1) <= _SIZE_TOLERANCE:
+        return
+    widths = [medians.size[1] for medians in (first, second)]
+    raise ContractBrokenError(
+        f"disparities are {ratios[0]:.3f} times the true ones at width {widths[0]}, {ratios[1]:.3f} at {widths[1]}",
+        _EXPECTED,
+        "where images are resized for the network: multiply by the image's width / the width fed",
+        "disparity",
+    )
+
+
+def is_accurate(medians: Medians) -> bool:
+    """Whether every median is within 1.5 px or 5 % of the true disparity."""
+    error = np.abs(medians.answered - medians.true)
+    return bool((error <= np.maximum(_TOLERANCE_PX, _ACCURATE_SHARE * medians.true)).all())
+
+
 def _reason(medians: Medians) -> tuple[str, str]:
     """What it looks like, and how to mend it."""
     true, answered, width = medians.true, medians.answered, medians.size[1]
@@ -39,7 +63,7 @@ def _reason(medians: Medians) -> tuple[str, str]:
     proportional = np.abs(answered - ratio * true).max() <= 0.1 * abs(ratio) * true.max()
     known = {
         -1.0: ("the sign is wrong", "return -d"),
-        1 / 16: ("a sixteenth of the true one", "multiply by 16: is it the disparity of a 1/16-size feature map?"),
+        1 / 16: ("a sixteenth of the true one", "multiply by 16: is it counted in cells of a map at 1/16 size?"),
         0.25: ("a quarter of the true one", "multiply by 4: a disparity at 1/4 size counts pixels four times as wide"),
         0.5: ("half of the true one", "multiply by 2: a disparity at half size counts pixels twice as wide"),
         2.0: ("twice the true one", "divide by 2"),

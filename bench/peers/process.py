@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import IO
 
 import bench
+from bench.peers.memory import note_peak
 from bench.peers.messages import MalformedMessageError, Message, encode, read_message
 
 # A child that has closed its output is about to end; this long is waited for the code that says why.
@@ -75,7 +76,9 @@ class PeerProcess:
         try:
             for piece in encode(message):
                 self._write(piece, deadline)
-            return read_message(lambda size: self._read(size, deadline))
+            answer = read_message(lambda size: self._read(size, deadline))
+            note_peak(self.pid)
+            return answer
         except MalformedMessageError as error:
             self.close()
             raise PeerFailure(f"wrote something that is no answer: {error}") from error

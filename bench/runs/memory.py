@@ -8,13 +8,16 @@ from pathlib import Path
 
 import torch
 
+from bench.peers.memory import forget_peaks, peers_peak_gb
+
 _STATUS = Path("/proc/self/status")
 # Writing 5 here sets the process's high-water mark back to what is resident now (proc(5), Linux >= 4.0).
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 
 
 class PeakMemory:
-    """Measures from construction on: resident memory of this process, and of the GPU when CUDA is in use.
+    """Measures from construction on: resident memory of this process and its peers (ORB-SLAM3, stereo networks in a
+    process of their own), and of the GPU when CUDA is in use.
 
     Where the kernel does not allow the high-water mark to be reset, the value is that of the process's whole life
     (``getrusage``), and ``since_start`` is False.
@@ -22,16 +25,17 @@ class PeakMemory:
 
     def __init__(self) -> None:
         self.since_start = _reset_high_water_mark()
+        forget_peaks()
         if torch.cuda.is_initialized():
             torch.cuda.reset_peak_memory_stats()
 
     def host_gb(self) -> float:
-        """Peak resident memory of this process, in GB."""
+        """Peak resident memory of this process, in GB, plus the peaks of its peers."""
         if self.since_start:
-            return _high_water_mark_kib() * 1024 / 1e9
+            return _high_water_mark_kib() * 1024 / 1e9 + peers_peak_gb()
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         # macOS reports bytes, Linux KiB.
-        return peak * (1 if sys.platform == "darwin" else 1024) / 1e9
+        return peak * (1 if sys.platform == "darwin" else 1024) / 1e9 + peers_peak_gb()
 
     def cuda_gb(self) -> float | None:
         """Peak GPU memory that torch reserved, in GB; None when this process does not use CUDA."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.authoring.units import Medians, explain_units
+from bench.authoring.units import Medians, explain_sizes, explain_units, is_accurate
 from bench.authoring.verdict import ContractBrokenError
 
 TRUE = np.array([5.0, 17.0, 41.0])
@@ -34,6 +34,21 @@ def test_what_it_looks_like(answered: np.ndarray, says: str, mend: str) -> None:
     assert caught.value.method == "disparity"
 
 
-@pytest.mark.parametrize("answered", [TRUE, TRUE + 1.4, TRUE * 1.03])
-def test_a_matchers_ordinary_error_passes(answered: np.ndarray) -> None:
-    explain_units(Medians(TRUE, answered, (256, 480)))
+@pytest.mark.parametrize(
+    ("answered", "accurate"),
+    [(TRUE, True), (TRUE + 1.4, True), (TRUE * 1.03, True), (np.array([5.06, 16.6, 37.5]), False)],
+)
+def test_a_matchers_ordinary_error_passes(answered: np.ndarray, accurate: bool) -> None:
+    """(The last one is what a small published network says.)"""
+    medians = Medians(TRUE, answered, (256, 480))
+    explain_units(medians)
+    assert is_accurate(medians) == accurate
+
+
+def test_a_forgotten_rescaling_shows_in_two_widths() -> None:
+    """Images of 417 px fed at 448, the next multiple of 32, without scaling back; 480 is such a multiple."""
+    first, second = Medians(TRUE, TRUE, (256, 480)), Medians(TRUE, TRUE * 448 / 417, (261, 417))
+    explain_sizes(first, Medians(TRUE, TRUE * 1.02, (261, 417)))
+    with pytest.raises(ContractBrokenError, match=r"1\.000 times the true ones at width 480, 1\.074 at 417") as caught:
+        explain_sizes(first, second)
+    assert "the image's width / the width fed" in caught.value.mend

@@ -33,6 +33,8 @@ class FakePeer(Peer):
         if event == "exit":
             print("out of luck", file=sys.stderr, flush=True)
             os._exit(3)
+        if event == "eat":
+            self.eaten = np.ones(300_000_000, np.uint8)
         if event == "hang":
             time.sleep(60)
         if event == "raise":

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.peers.memory import peers_peak_gb
 from bench.peers.messages import Message
 from bench.peers.process import PeerFailure, PeerProcess
+from bench.runs.memory import PeakMemory
 
 FAKE = [sys.executable, "-P", str(Path(__file__).parent / "fake_peer.py")]
 IMAGE = np.full((300, 1000), 7, np.uint8)  # several times what a pipe holds
@@ -162,3 +164,17 @@ def test_a_peer_ends_when_its_owner_is_killed() -> None:
         owner.send_signal(signal.SIGKILL)
     assert is_gone(int(pid), within_s=5)
     Path(scratch).rmdir()
+
+
+def test_what_a_peer_eats_is_part_of_the_run_s_memory() -> None:
+    """The peer takes 0.3 GB more; the bench's own high-water mark knows nothing of it."""
+    with_peer = PeakMemory()
+    peer = started(events={"1": "eat"})
+    peer.request(frame(0), 20)
+    before = peers_peak_gb()
+    peer.request(frame(1), 20)
+    peer.close()
+    assert peers_peak_gb() - before == pytest.approx(0.3, abs=0.03)
+    assert with_peer.host_gb() > peers_peak_gb() > 0.3
+    PeakMemory()
+    assert peers_peak_gb() == 0.0

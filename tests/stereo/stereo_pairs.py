@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from bench.types import Image, Map
 
@@ -49,10 +51,16 @@ def block_match(left: Image, right: Image, disparities: int = 40, block: int = 7
 def kitti_2015_sample(test_data: Path) -> tuple[Image, Image, Map]:
     """The sample's images and its ground truth in px, NaN where there is none."""
     root = test_data / "kitti2015_sample"
-    left, right = (cv2.imread(str(root / side / "000046_10.png"))[..., ::-1] for side in ("image_2", "image_3"))
-    truth = cv2.imread(str(root / "disp_occ_0" / "000046_10.png"), cv2.IMREAD_UNCHANGED).astype(np.float32) / 256
+    left, right = (_read(root / side / "000046_10.png", cv2.IMREAD_COLOR)[..., ::-1] for side in ("image_2", "image_3"))
+    truth = _read(root / "disp_occ_0" / "000046_10.png", cv2.IMREAD_UNCHANGED).astype(np.float32) / np.float32(256)
     truth[truth == 0] = np.nan
     return np.ascontiguousarray(left), np.ascontiguousarray(right), truth
+
+
+def _read(path: Path, flags: int) -> npt.NDArray[Any]:
+    image = cv2.imread(str(path), flags)
+    assert image is not None, path
+    return image
 
 
 def end_point_error(disparity: Map, truth: Map) -> float:

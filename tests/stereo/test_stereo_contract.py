@@ -1,4 +1,4 @@
-"""What crosses the border of a stereo plugin: triangulation, what counts as unknown, and the words for what is wrong."""
+"""What crosses the border of a stereo plugin: triangulation, what counts as unknown, the words for what is wrong."""
 
 from __future__ import annotations
 

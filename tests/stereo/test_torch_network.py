@@ -19,7 +19,7 @@ class Watched(nn.Module):
 
     def forward(self, left: Tensor, right: Tensor) -> Tensor:
         self.fed = (left, right)
-        self.type = torch.nn.functional.conv2d(left, torch.ones(1, 3, 1, 1)).dtype
+        self.computed_in = torch.nn.functional.conv2d(left, torch.ones(1, 3, 1, 1)).dtype
         return torch.arange(1.0, left.shape[3] + 1).expand(1, 1, *left.shape[2:])
 
 
@@ -43,7 +43,8 @@ class Answers(Net):
 
 def pair(height: int, width: int) -> tuple[Any, Any]:
     rng = np.random.default_rng(0)
-    return tuple(rng.integers(0, 256, (height, width, 3), np.uint8) for _ in range(2))  # type: ignore[return-value]
+    left, right = (rng.integers(0, 256, (height, width, 3), np.uint8) for _ in range(2))
+    return left, right
 
 
 def test_images_are_padded_and_normalised() -> None:
@@ -82,7 +83,7 @@ def test_computes_in_the_wanted_format(dtype: str) -> None:
     network = Net(NetworkConfig(device="cpu", dtype=dtype))
     disparity = network.disparity(*pair(8, 8))
     assert isinstance(network.network, Watched)
-    assert network.network.type == getattr(torch, dtype)
+    assert network.network.computed_in == getattr(torch, dtype)
     assert disparity.dtype == np.float32
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -61,7 +62,7 @@ class Graph:
 
     def constant(self, values: npt.ArrayLike, dtype: type) -> str:
         """Add a float32 or int64 constant, whose name is returned."""
-        array = np.asarray(values, dtype)
+        array: npt.NDArray[Any] = np.asarray(values, dtype)
         name = f"constant_{len(self.constants)}"
         kind = INT64 if dtype is np.int64 else FLOAT
         dims = b"".join(_field(1, side) for side in array.shape)

@@ -22,8 +22,9 @@ Place = tuple[str, str]
 Settings = dict[str, str]
 """Dotted names of a config's values, and the values as JSON."""
 
-# What may differ between runs whose numbers are averaged or compared.
-_FREE = {*NO_PART_OF_THE_RUN, "seed", "dataset.sequence", "dataset.root"}
+# What may differ between runs whose numbers are averaged or compared: keys, and whole parts of the config.
+_FREE = {"seed", "dataset.sequence", "dataset.root"}
+_FREE_PARTS = (*NO_PART_OF_THE_RUN, "evaluator")
 # Choosing a system chooses these too.
 _OF_A_SYSTEM = ("mapper", "loss")
 
@@ -195,17 +196,21 @@ def _choose_runs(runs: list[RunRecord]) -> tuple[list[RunRecord], list[str]]:
     scored = [run for run in runs if run.values]
     frames = max((run.frames for run in scored), default=0)
     by_seed: dict[int, RunRecord] = {}
+    repeated: dict[int, int] = defaultdict(int)
     notes = []
     for run in sorted(runs, key=lambda run: (run.seed, run.state != "done", str(run.folder))):
         if run.values and run.frames == frames:
-            if run.seed in by_seed:
-                notes.append(f"seed {run.seed} was run twice; {by_seed[run.seed].folder.name} is shown")
-            else:
-                by_seed[run.seed] = run
+            by_seed.setdefault(run.seed, run)
+            repeated[run.seed] += 1
         elif run.values:
             notes.append(f"seed {run.seed} left out: {run.state} after {run.frames} frames")
         else:
             notes.append(f"seed {run.seed}: {'not scored' if run.state == 'done' else run.state}{_because(run)}")
+    notes += [
+        f"seed {seed} was run {times} times; {by_seed[seed].folder.name} is shown"
+        for seed, times in repeated.items()
+        if times > 1
+    ]
     notes += [
         f"seed {run.seed}: {run.state} after {run.frames} frames{_because(run)}"
         for run in by_seed.values()
@@ -256,7 +261,7 @@ def _name_of(part: Any) -> Any:
 
 def _flat(config: Mapping[str, Any], prefix: str) -> Iterable[tuple[str, Any]]:
     for key, value in config.items():
-        if not prefix and key in NO_PART_OF_THE_RUN:
+        if not prefix and key in _FREE_PARTS:
             continue
         if isinstance(value, Mapping) and value:
             yield from _flat(value, f"{prefix}{key}.")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -90,8 +91,8 @@ def build_grid(filled: FilledTable, published: PublishedNumbers) -> Grid:
     blocks = [builder.block(row) for row in table.rows]
     static = [_static_camera(filled)] if any(metric.key == "ate_rmse_m" for metric in table.metrics) else []
     references = [builder.reference(method) for method in published.reference_methods()]
-    marked = _mark_best(blocks, PAPER, filled)
-    marked = _mark_best(marked, OURS, filled)
+    marked = _mark_best(blocks, PAPER, table.metrics)
+    marked = _mark_best(marked, OURS, table.metrics)
     across_sequences = table.across == "sequences"
     columns = [_sequence_heading(filled, sequence) for sequence in table.sequences] + ["Average"]
     columns = columns if across_sequences else [heading(metric) for metric in table.metrics]
@@ -180,7 +181,9 @@ def _statistic_cell(found: Statistic | None, metric: Metric, mark: str) -> GridC
 
 
 def _signed(difference: float, decimals: int) -> str:
-    return f"{difference:+.{decimals}f}".replace("-", MINUS)
+    text = f"{difference:+.{decimals}f}".replace("-", MINUS)
+    # A difference that rounds to nothing has no sign.
+    return text if text.strip(f"+{MINUS}0.") else text[1:]
 
 
 def _sequence_heading(filled: FilledTable, sequence: str) -> str:
@@ -217,35 +220,36 @@ def _static_camera(filled: FilledTable) -> list[Line]:
     return [Line(COMPUTED, f"{STATIC_CAMERA}, frames of our runs", metric, (*cells, average))]
 
 
-def _mark_best(blocks: Sequence[list[Line]], by: str, filled: FilledTable) -> list[list[Line]]:
-    """Mark the best values among the lines ``by`` one source, column by column; nothing where only one has a value."""
-    table = filled.table
+def _mark_best(blocks: Sequence[list[Line]], by: str, metrics: Sequence[Metric]) -> list[list[Line]]:
+    """Mark the best values among the lines ``by`` one source, column by column; nothing where only one has a value.
 
-    def best_at(metric: Metric, column: int) -> float | None:
-        values = [
-            line.cells[column].value
-            for line in _by(blocks, by)
-            if (line.metric or table.metrics[column]) is metric and line.cells[column].value is not None
-        ]
-        known = [value for value in values if value is not None]
-        if len(known) < 2:
-            return None
-        return min(known) if metric.better == "lower" else max(known)
+    Values that look the same are equally good.
+    """
 
-    best = {
-        (metric.key, column): best_at(metric, column)
-        for metric in table.metrics
-        for column in range(len(table.sequences) + 1 if table.across == "sequences" else len(table.metrics))
-    }
+    def looks(line: Line, column: int) -> float | None:
+        value = line.cells[column].value
+        # The paper's values have as many digits as were printed.
+        return value if value is None or by != OURS else round(value, metric_of(line, column).decimals)
+
+    def metric_of(line: Line, column: int) -> Metric:
+        return line.metric or metrics[column]
+
+    values: dict[tuple[str, int], list[float]] = defaultdict(list)
+    for line in (line for block in blocks for line in block if line.by == by):
+        for column in range(len(line.cells)):
+            value = looks(line, column)
+            if value is not None:
+                values[metric_of(line, column).key, column].append(value)
 
     def marked(line: Line) -> Line:
         if line.by != by:
             return line
         cells = []
         for column, cell in enumerate(line.cells):
-            metric = line.metric or table.metrics[column]
-            is_best = cell.value is not None and cell.value == best[metric.key, column]
-            cells.append(replace(cell, best=is_best))
+            metric = metric_of(line, column)
+            rivals = values[metric.key, column]
+            best = (min if metric.better == "lower" else max)(rivals) if len(rivals) > 1 else None
+            cells.append(replace(cell, best=best is not None and looks(line, column) == best))
         return replace(line, cells=tuple(cells))
 
     return [[marked(line) for line in block] for block in blocks]
@@ -260,7 +264,3 @@ def _dagger_at_name(block: Sequence[Line]) -> tuple[Line, ...]:
         replace(line, method=line.method + DAGGER, cells=tuple(replace(cell, mark="") for cell in line.cells))
         for line in block
     )
-
-
-def _by(blocks: Iterable[list[Line]], by: str) -> Iterable[Line]:
-    return (line for block in blocks for line in block if line.by == by)

@@ -118,15 +118,17 @@ def _about_published(table: NamedTable, published: PublishedNumbers, grid: Grid)
             remarks[f"{value.method}{where}{', average' if value.sequence == AVERAGE else ''}", value.note] = None
     found += [f"The paper's {where}: {note}." for where, note in remarks]
     shown = {line.method.rstrip(DAGGER) for block in grid.blocks for line in block}
-    sources: dict[str, list[str]] = defaultdict(list)
+    sources: dict[str, dict[str, None]] = defaultdict(dict)
     for value in published.references:
         has_place = value.metric in _titles(table) and value.sequence in (*table.sequences, AVERAGE)
         if value.method in shown and has_place:
-            text = f"{value.method} ({value.note})" if value.note else value.method
+            text = value.method
+            if value.note:
+                where = f"{AVERAGE}: " if value.sequence == AVERAGE else ""
+                found.append(f"{value.method}, {where}{value.note}.")
         else:
             text = f"{value.method} {value.value} {value.unit} ({_where(value)})"
-        if text not in sources[value.source]:
-            sources[value.source].append(text)
+        sources[value.source][text] = None
     return found + [f"{'; '.join(texts)}: {source}." for source, texts in sources.items()]
 
 

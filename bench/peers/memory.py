@@ -1,0 +1,33 @@
+"""Peak memory of the peers of this process, which its own high-water mark does not contain."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+_lock = threading.Lock()
+_peaks_kib: dict[int, int] = {}
+
+
+def note_peak(pid: int) -> None:
+    """Remember the high-water mark of a running peer; called after each of its answers. No more than a file is read."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:  # it has just ended, or this system has no /proc
+        return
+    peak = next((int(line.split()[1]) for line in lines if line.startswith("VmHWM:")), None)
+    if peak is not None:
+        with _lock:
+            _peaks_kib[pid] = peak
+
+
+def forget_peaks() -> None:
+    """Begin a new measurement; peers that still run come back with their next answer."""
+    with _lock:
+        _peaks_kib.clear()
+
+
+def peers_peak_gb() -> float:
+    """Sum of the peers' peaks, ended ones included, in GB of 1e9 bytes; 0 without peers."""
+    with _lock:
+        return sum(_peaks_kib.values()) * 1024 / 1e9

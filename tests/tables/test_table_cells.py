@@ -1,0 +1,90 @@
+"""Which run belongs to which cell: by what Hydra makes of the overrides that define the cell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bench.config import compose_run
+from bench.errors import BenchError
+from bench.runs.config_file import write_config
+from bench.tables.named.definitions import TABLES, cells, named_table
+from bench.tables.named.overrides import belongs, holds, row_of
+from bench.tables.named.records import read_record
+
+
+def test_cells_of_the_ablation() -> None:
+    ablation = cells(named_table("ablation"))
+    assert [cell.column for cell in ablation] == ["03"] * 7
+    by_row = {cell.row.split(" (")[0]: cell.overrides for cell in ablation}
+    assert "sky=none" in by_row["w/o ss"]
+    assert "loss=[rgb,ssim,normal,smooth]" in by_row["w/o wd"]
+    assert "loss.geo.stride=1" in by_row["with ds"]
+    assert "loss.geo.edge_weighted=false" in by_row["w/o gradient weight"]
+    for cell in ablation:
+        assert cell.overrides[:2] == ("dataset=kitti", "dataset.sequence=03")
+
+
+def test_withheld_cells_say_so() -> None:
+    blocked = {cell.column for cell in cells(named_table("main_kitti360")) if cell.blocked}
+    assert blocked == {"0008"}
+    assert not any(cell.blocked for cell in cells(named_table("main_kitti")))
+    # Published methods without a system of ours have nothing to run.
+    assert {cell.row for cell in cells(named_table("memory"))} == {"BGS-SLAM (Ours)", "bgs_slam", "bgs_slam_fast"}
+
+
+@pytest.mark.parametrize("name", ["main_kitti", "ablation", "backbones"])
+def test_what_hydra_composes_belongs_to_its_own_row_alone(name: str) -> None:
+    table = named_table(name)
+    for row in table.rows:
+        if row.overrides is None:
+            continue
+        composed = compose_run(["dataset=kitti", "dataset.sequence=3", "dataset.root=/nowhere", *row.overrides]).values
+        assert row_of(table, composed) == (row.label, "03")
+        assert [other.label for other in table.rows if belongs(other, composed)] == [row.label]
+        # An ablation on other data is no cell of this table.
+        assert row_of(table, composed | {"dataset": {"name": "street", "sequence": "03"}}) is None
+        assert row_of(table, composed | {"dataset": {"name": "kitti", "sequence": "00"}}) is None
+
+
+def test_a_run_folders_config_reads_as_it_was_composed(tmp_path: Path) -> None:
+    """The fast reader against Hydra's own data, with values that YAML could take for something else."""
+    composed = compose_run(
+        ["dataset=kitti", "dataset.root=/a b", "dataset.sequence='07'", "dataset.frames='10:20'", "seed=2"]
+    ).values
+    write_config(tmp_path, composed, "abc")
+    read = read_record(tmp_path).config
+    assert {key: value for key, value in read.items()} == {
+        key: value if not isinstance(value, tuple) else list(value) for key, value in composed.items()
+    }
+    assert read["dataset"]["frames"] == "10:20"
+
+
+def test_the_reader_survives_odd_text(tmp_path: Path) -> None:
+    odd = {"system": "a: b # c", "seed": 1, "plugins": ["x", "y"], "dataset": {"name": "line\none\n\ntwo"}, "loss": {}}
+    write_config(tmp_path, odd, "abc")
+    assert read_record(tmp_path).config == odd
+    (tmp_path / "config.yaml").write_text("system: [a\nseed: 1\n")
+    with pytest.raises(BenchError, match=r"config\.yaml can't be read: .* Delete the run folder"):
+        read_record(tmp_path)
+
+
+def test_overrides_hold_or_not() -> None:
+    config = {
+        "dataset": {"name": "kitti", "sequence": "03"},
+        "loss": {"rgb": {"weight": 0.8}, "geo": {"stride": 2, "edge_weighted": False}},
+        "system": "bgs_slam",
+    }
+    true = ("dataset=kitti", "dataset.sequence=3", "loss=[geo,rgb]", "loss.geo.stride=2", "loss.rgb.weight=0.80")
+    for override in (*true, "loss.geo.edge_weighted=false", "system=bgs_slam"):
+        assert holds(config, override), override
+    false = ("dataset=street", "dataset.sequence=06", "loss=[rgb]", "loss=[rgb,geo,ssim]", "loss.geo.stride=1")
+    for override in (*false, "loss.geo.edge_weighted=true", "loss.normal.weight=1", "stereo=sgbm", "system=bgs"):
+        assert not holds(config, override), override
+
+
+def test_unknown_tables_are_named() -> None:
+    with pytest.raises(BenchError, match=r"table='main_kiti' is not one of main_kitti, .* Did you mean 'main_kitti'\?"):
+        named_table("main_kiti")
+    assert list(TABLES) == ["main_kitti", "main_kitti360", "ablation", "backbones", "memory", "runtime"]
