@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]  # comes with omegaconf, which raises it
 
 from bench.errors import BenchError
 from bench.runs.atomic import write_text
+from bench.runs.config_text import parse_config
 
 CONFIG_FILE = "config.yaml"
 _HASH_LINE = "# bgs-bench run, config hash "
@@ -38,13 +39,13 @@ def read_config(folder: Path) -> tuple[dict[str, Any], str] | None:
         first = text.partition("\n")[0]
         if not first.startswith(_HASH_LINE):
             return None
-        config = OmegaConf.to_container(OmegaConf.create(text))
-    except (OSError, UnicodeDecodeError, YAMLError, OmegaConfBaseException) as error:
+        config = deepcopy(parse_config(text))
+    except (OSError, UnicodeDecodeError, YAMLError) as error:
         reason = " ".join(str(error).split())
         raise BenchError(f"{path} can't be read: {reason}. Delete the run folder and run again.") from error
-    if not isinstance(config, dict):
+    if not config:
         raise BenchError(f"{path} holds no settings. Delete the run folder and run again.")
-    return {str(key): value for key, value in config.items()}, first.removeprefix(_HASH_LINE).strip()
+    return config, first.removeprefix(_HASH_LINE).strip()
 
 
 def differing_keys(one: dict[str, Any], other: dict[str, Any]) -> list[str]:

@@ -29,8 +29,8 @@ class NetworkConfig(PluginConfig):
     device: str = "auto"
     """auto, cpu, cuda, cuda:1, ..."""
     dtype: str = "float32"
-    """float32, bfloat16 or float16: what the network computes in; the disparity is float32 in any case. On GPUs, and on
-    CPUs with instructions for it (AVX-512 BF16, AMX), bfloat16 takes about half the time; on other CPUs it takes longer."""
+    """float32, bfloat16 or float16: what the network computes in; the disparity is float32 in any case. Where the
+    hardware has instructions for it (GPUs; CPUs with AVX-512 BF16 or AMX) bfloat16 takes about half the time."""
     scale: float = 1.0
     """The network sees images this many times as large; the disparity is in pixels of the full image all the same."""
     tile_rows: int = 0

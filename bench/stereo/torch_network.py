@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Any
 
 import numpy as np
 import torch
@@ -41,7 +42,7 @@ class TorchStereo(StereoNetwork):
 
     def __init__(self, config: NetworkConfig, published: str = "") -> None:
         super().__init__(config, published)
-        self.config = config
+        self.config: Any = config
         self.device = choose_device(config.device)
         self.dtype = choose_dtype(config.dtype)
         self.network = self.load().eval().requires_grad_(False).to(self.device)

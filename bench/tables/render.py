@@ -17,7 +17,7 @@ from bench.tables.static_camera import NAME, static_camera_rows
 
 UNKNOWN = "-"
 _REFERENCE_STYLE = "dim italic"
-_LATEX_SPECIAL = {
+LATEX_SPECIAL = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
     "%": r"\%",
@@ -209,4 +209,4 @@ def _heading(column: Column, gap: str) -> str:
 
 
 def _latex(text: str) -> str:
-    return "".join(_LATEX_SPECIAL.get(character, character) for character in text)
+    return "".join(LATEX_SPECIAL.get(character, character) for character in text)

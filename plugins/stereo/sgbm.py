@@ -10,7 +10,8 @@ import numpy as np
 from bench.contracts.stereo import StereoBackbone
 from bench.errors import BenchError, require_choice
 from bench.registry import PluginConfig, register
-from bench.types import Image, Map, Mask
+from bench.stereo.left_right import left_right_checked
+from bench.types import Image, Map
 
 _MODES = {
     "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
@@ -86,12 +87,9 @@ class Sgbm(StereoBackbone):
         """Disparity of the left image in pixels, (H, W) float32, NaN where unmatched or inconsistent."""
         if not self._config.color:
             left, right = _gray(left), _gray(right)
-        disparity = self._match(left, right)
         if self._config.full_check:
-            # The right image's disparities are those of the mirrored pair with the sides exchanged.
-            mirrored = self._match(_mirrored(right), _mirrored(left))
-            disparity[~_consistent(disparity, mirrored[:, ::-1], self._config.lr_max_diff)] = np.nan
-        return disparity
+            return left_right_checked(self._match, left, right, self._config.lr_max_diff)
+        return self._match(left, right)
 
     def _match(self, left: Image, right: Image) -> Map:
         # OpenCV leaves the first num_disparities columns unknown; the padding takes their place.
@@ -105,23 +103,3 @@ class Sgbm(StereoBackbone):
 
 def _gray(image: Image) -> Image:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
-
-
-def _mirrored(image: Image) -> Image:
-    return np.ascontiguousarray(image[:, ::-1])
-
-
-def _consistent(left: Map, right: Map, max_diff: float) -> Mask:
-    """Where the right image's disparity, at the pixel the left one points to, differs by ``max_diff`` px or less."""
-    height, width = left.shape
-    columns = np.arange(width, dtype=np.float32) - left
-    rows = np.repeat(np.arange(height, dtype=np.float32)[:, None], width, axis=1)
-    there = cv2.remap(
-        np.ascontiguousarray(right),
-        columns,
-        rows,
-        cv2.INTER_NEAREST,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=np.nan,
-    )
-    return np.abs(there - left) <= max_diff

@@ -38,7 +38,8 @@ class Answers(Net):
     answer: Any = None
 
     def predict(self, left: Tensor, right: Tensor) -> Tensor:
-        return self.answer(left)  # type: ignore[no-any-return]
+        answer: Tensor = self.answer(left)
+        return answer
 
 
 def pair(height: int, width: int) -> tuple[Any, Any]:

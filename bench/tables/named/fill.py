@@ -20,7 +20,7 @@ from bench.tables.named.records import RunRecord
 Place = tuple[str, str]
 """A row's label and a sequence."""
 Settings = dict[str, str]
-"""Dotted names of a config's values, and the values as JSON."""
+"""Dotted names of a config's values, and the values as text."""
 
 # What may differ between runs whose numbers are averaged or compared: keys, and whole parts of the config.
 _FREE = {"seed", "dataset.sequence", "dataset.root"}
@@ -132,12 +132,14 @@ def fill(table: NamedTable, records: Sequence[RunRecord]) -> FilledTable:
 
 def settings_of(config: Mapping[str, Any]) -> Settings:
     """All that can change the result, by dotted name, except the seed and which sequence it is."""
-    return {key: json.dumps(value, default=str) for key, value in _flat(config, "") if key not in _FREE}
+    return {key: str(value) for key, value in _flat(config, "") if key not in _FREE}
 
 
 def varied_parts(table: NamedTable) -> set[str]:
     """The parts of a config ("loss", "stereo", ...) in which the table's rows differ by intention."""
-    parts = {override.split("=")[0].split(".")[0] for row in table.rows for override in row.overrides or ()}
+    overrides = [row.overrides for row in table.rows if row.overrides is not None]
+    everywhere = set(overrides[0]).intersection(*overrides) if overrides else set()
+    parts = {each.split("=")[0].split(".")[0] for of_row in overrides for each in set(of_row) - everywhere}
     return parts | set(_OF_A_SYSTEM) if "system" in parts else parts
 
 
@@ -242,7 +244,7 @@ def differences(filled: FilledTable) -> list[str]:
     texts = []
     for key in sorted(found):
         values = sorted({cell.settings.get(key, "not set") for cell in filled.cells.values()})
-        texts.append(f"{key} ({_some([value.strip(chr(34)) or 'empty' for value in values])})")
+        texts.append(f"{key} ({_some([value or 'empty' for value in values])})")
     return texts
 
 
@@ -263,7 +265,7 @@ def _flat(config: Mapping[str, Any], prefix: str) -> Iterable[tuple[str, Any]]:
     for key, value in config.items():
         if not prefix and key in _FREE_PARTS:
             continue
-        if isinstance(value, Mapping) and value:
+        if isinstance(value, dict) and value:
             yield from _flat(value, f"{prefix}{key}.")
         elif isinstance(value, float) and math.isfinite(value) and value == int(value):
             # 1 and 1.0 are one setting.

@@ -13,18 +13,9 @@ from rich.text import Text
 
 from bench.tables.named.grid import COMPUTED, CROSS, DAGGER, ELSEWHERE, MINUS, Grid, GridCell, Line, heading
 from bench.tables.named.links import relative
+from bench.tables.render import LATEX_SPECIAL
 
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
+_LATEX = LATEX_SPECIAL | {
     "±": r"$\pm$",
     MINUS: r"$-$",
     CROSS: r"$\times$",

@@ -10,6 +10,7 @@ from pathlib import Path
 from bench.tables.named.definitions import MethodRow, Metric
 from bench.tables.named.fill import FilledTable, Statistic
 from bench.tables.named.published import AVERAGE, PublishedValue, read_published, read_references
+from bench.tables.render import UNKNOWN
 from bench.tables.static_camera import NAME as STATIC_CAMERA
 
 DAGGER, CROSS, MINUS = "\u2020", "\u00d7", "\u2212"
@@ -141,7 +142,8 @@ class _Builder:
         if slot.sequence == AVERAGE:
             parts = [self._filled.cells.get((row.label, sequence)) for sequence in table.sequences]
             mark = DAGGER if any(cell is not None and cell.is_part for cell in parts) else ""
-            return _statistic_cell(self._filled.average(row.label, slot.metric), slot.metric, mark)
+            average = self._filled.average(row.label, slot.metric)
+            return GridCell() if average is None else _statistic_cell(average, slot.metric, mark)
         cell = self._filled.cells.get((row.label, slot.sequence))
         if cell is None:
             return GridCell(WITHHELD if self._filled.facts[slot.sequence].withheld else "")
@@ -175,7 +177,7 @@ def _published_cell(published: PublishedValue | None) -> GridCell:
 
 def _statistic_cell(found: Statistic | None, metric: Metric, mark: str) -> GridCell:
     if found is None:
-        return GridCell()
+        return GridCell(UNKNOWN)
     spread = "" if found.std is None else f" ± {found.std:.{metric.decimals}f}"
     return GridCell(f"{found.mean:.{metric.decimals}f}{spread}", found.n, mark, value=found.mean)
 

@@ -91,9 +91,7 @@ def _settings(filled: FilledTable) -> list[str]:
     users: dict[str, list[str]] = defaultdict(list)
     for (row, _), cell in filled.cells.items():
         seeds = ", ".join(str(run.seed) for run in cell.shown)
-        parts = [
-            f"{title} {cell.settings[key].strip(chr(34)) or 'all'}" for key, title in _STATED if key in cell.settings
-        ]
+        parts = [f"{title} {cell.settings[key] or 'all'}" for key, title in _STATED if key in cell.settings]
         text = "; ".join([*parts, f"seeds {seeds or 'none'}"])
         if row not in users[text]:
             users[text].append(row)

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import yaml  # type: ignore[import-untyped]  # comes with omegaconf
+from yaml import YAMLError  # type: ignore[import-untyped]  # comes with omegaconf
 
 from bench.errors import BenchError
 from bench.runs.config_file import CONFIG_FILE
+from bench.runs.config_text import parse_config
 from bench.runs.folder import METRICS_FILE
 from bench.runs.status import read_json, read_status
 from bench.tables.collect import DEFAULT_FOLDER, find_runs
 
 VIEW_GROUPS = ("left", "heldout", "right")
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 @dataclass(frozen=True)
@@ -101,37 +100,15 @@ def _read_config(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise BenchError(f"Can't read {path}: {error}. Delete the run folder and run again.") from error
-    config: dict[str, Any] = {}
-    for block in _top_level_blocks(text):
-        try:
-            part = _parse(block)
-        except yaml.YAMLError as error:
-            raise BenchError(
-                f"{path} can't be read: {' '.join(str(error).split())}. Delete the run folder and run again."
-            ) from error
-        if isinstance(part, dict):
-            config |= part
+    try:
+        config = parse_config(text)
+    except YAMLError as error:
+        raise BenchError(
+            f"{path} can't be read: {' '.join(str(error).split())}. Delete the run folder and run again."
+        ) from error
     if not config:
         raise BenchError(f"{path} holds no settings. Delete the run folder and run again.")
     return config
-
-
-def _top_level_blocks(text: str) -> Iterator[str]:
-    """The text of each top-level key; YAML that the bench writes has nothing else at the margin but list items."""
-    block: list[str] = []
-    for line in text.splitlines(keepends=True):
-        if line[0] not in " -#\n" and block:
-            yield "".join(block)
-            block = []
-        block.append(line)
-    if block:
-        yield "".join(block)
-
-
-@lru_cache(maxsize=4096)
-def _parse(block: str) -> Any:
-    """Parsed YAML. The runs of a sweep share most of their blocks, which is what makes a thousand of them fast."""
-    return yaml.load(block, Loader=_LOADER)
 
 
 def _part(mapping: Mapping[str, Any], key: str) -> dict[str, Any]:
