@@ -36,14 +36,14 @@ class Cost:
 
 
 def cost_of(call: Callable[[], object]) -> Cost:
-    """Time and memory of a call after one to warm up; a few seconds, or three calls where they take longer."""
+    """Time and memory of a call after one to warm up; a few seconds, or two calls where they take longer."""
     gc.collect()
     before, peak = resident_mb(), PeakMemory()
     call()
     gc.collect()
     times: list[float] = []
     in_use = [allocated_mb()]
-    while len(times) < 3 or (len(times) < _MAX_CALLS and sum(times) < _SECONDS):
+    while len(times) < 2 or (len(times) < _MAX_CALLS and sum(times) < _SECONDS):
         start = time.perf_counter()
         call()
         times.append(time.perf_counter() - start)

@@ -164,21 +164,23 @@ def _inputs(subject: Subject) -> str:
 
 
 def _depth(subject: Subject) -> str:
-    """Depth of a wall by the camera's focal length and baseline, worked out here: f b / d."""
-    shift = SHIFTS_PX[1]
-    dataset = probes.PairDataset(*probes.shifted_pair(*SIZE, shift))
+    """Depth of a wall from its disparity, by the camera's focal length and baseline, worked out here: f b / d."""
+    pair = probes.shifted_pair(*SIZE, SHIFTS_PX[1])
+    inside = (slice(8, -8), slice(SHIFTS_PX[1] + 16, -8))
+    disparity = float(np.nanmedian(subject.disparity(pair)[inside]))
+    dataset = probes.PairDataset(*pair)
     subject.source.start(dataset)
-    depth = _checked_depth(subject, dataset.frame(0), 0, dataset.camera)
-    expected = dataset.camera.fx * 0.54 / shift
-    median = float(np.nanmedian(depth[8:-8, shift + 16 : -8]))
-    if not 0.85 * expected < median < 1.15 * expected:
+    median = float(np.nanmedian(_checked_depth(subject, dataset.frame(0), 0, dataset.camera)[inside]))
+    expected = dataset.camera.fx * 0.54 / disparity
+    text = f"{disparity:.1f} px is {median:.2f} m for fx {dataset.camera.fx:.1f} px and a baseline of 0.54 m"
+    if not 0.98 * expected < median < 1.02 * expected:
         raise ContractBrokenError(
-            f"a wall at {expected:.2f} m has depth {median:.2f} m",
-            "metres: fx * baseline / disparity, of the camera that depth() is given",
+            text,
+            f"fx * baseline / disparity = {expected:.2f} m, of the camera that depth() is given",
             "leave depth() to StereoBackbone, or use camera.fx and camera.baseline",
             "depth",
         )
-    return f"a wall at {expected:.2f} m has depth {median:.2f} m"
+    return text
 
 
 def _checked_depth(subject: Subject, frame: StereoFrame, position: int, camera: Any) -> Map:

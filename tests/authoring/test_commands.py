@@ -18,6 +18,7 @@ def new(kind: str, name: str, folder: Path) -> Path:
     return folder / f"{name}.py"
 
 
+@pytest.mark.slow
 def test_from_nothing_to_a_row_of_the_table(tmp_path: Path) -> None:
     """Only the commands that `new-plugin` itself prints, each in a fresh process; the run is on the street."""
     written = bgs_bench("new-plugin", "stereo", "row_net", "--folder", "mine", cwd=tmp_path)

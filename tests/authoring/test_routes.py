@@ -47,6 +47,7 @@ def test_a_file_in_a_checkout(tmp_path: Path) -> None:
     assert "route_file" not in python(arguments, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_folder(tmp_path: Path) -> None:
     write_plugin("stereo", "route_folder", tmp_path / "mine")
     assert re.search(_LISTED.format("route_folder"), bgs_bench("list", "stereo", "--plugins", "mine", cwd=tmp_path))
