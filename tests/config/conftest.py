@@ -9,10 +9,17 @@ import pytest
 from hydra.core.config_store import ConfigStore
 
 from bench import registry
+from bench.config import compose_run
+
+
+@pytest.fixture(scope="session")
+def composed_once() -> None:
+    """Hydra stores its own configs when something is composed for the first time; they must not be forgotten."""
+    compose_run([])
 
 
 @pytest.fixture
-def clean_registry() -> Iterator[None]:
+def clean_registry(composed_once: None) -> Iterator[None]:
     """Forget, afterwards, every plugin and broken file that the test brought."""
     plugins, broken = dict(registry._plugins), dict(registry.broken_files)
     store = ConfigStore.instance()
