@@ -22,6 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         evaluate,
         list,
         new_plugin,
+        reproduce,
         run,
         score,
         stereo_eval,
@@ -34,8 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors."
     )
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    commands = (run, list, table, evaluate, score, stereo_eval, vocabulary, weights, cache, new_plugin, check_plugin)
-    for command in (*commands, doctor):
+    of_runs = (run, list, table, reproduce, evaluate, score, stereo_eval)
+    for command in (*of_runs, vocabulary, weights, cache, new_plugin, check_plugin, doctor):
         command.add_parser(subparsers)
     args, left = parser.parse_known_args(arguments)
     # argparse takes `run a=1 -m b=2` for two lists of overrides and knows a place for the first only.

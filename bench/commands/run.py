@@ -20,6 +20,7 @@ from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.folder import LOG_FILE
 from bench.runs.status import read_status
+from bench.sweeps.experiment import EXPERIMENT, expand_experiment
 from bench.system import run_system
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
@@ -28,6 +29,7 @@ _EXAMPLES = """examples:
   bgs-bench run
   bgs-bench run dataset=kitti dataset.root=DIR dataset.sequence=06 dataset.frames=0:10 stereo=sgbm output=runs/kitti06
   bgs-bench run -m seed=0,1,2 system=bgs_slam,bgs_slam_paper
+  bgs-bench run -m experiment=ablation dataset.root=DIR seed=0,1,2
 """
 
 # Hydra keeps its own folders and logs out of the way: run folders are ours.
@@ -59,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
     console = Console()
     if args.multirun:
         return _multirun(args.overrides, console)
+    if any(override.startswith(EXPERIMENT) for override in args.overrides):
+        raise BenchError("experiment= stands for many runs; add -m.")
     config = compose_run(args.overrides)
     if args.print_config:
         print(OmegaConf.to_yaml(OmegaConf.create(config.values)), end="")
@@ -116,8 +120,10 @@ def _failure(error: Exception, folder: Path) -> str:
 
 def _multirun(overrides: list[str], console: Console) -> int:
     """Hydra's multirun: every combination of the swept values runs in its own folder; one that fails stops no other."""
-    overrides = with_home(overrides)
-    sweep_folder = _sweep_folder(compose_sweep(overrides)[0])
+    sweeps = expand_experiment(with_home(overrides))
+    # All are composed before the first is run, so that a wrong value is known at once.
+    composed = [compose_sweep(each) for each in sweeps]
+    sweep_folder = _sweep_folder(composed[0][0])
     finished: list[Path] = []
     failed: list[str] = []
 
@@ -134,9 +140,10 @@ def _multirun(overrides: list[str], console: Console) -> int:
 
     before = sys.argv
     quoted = str(sweep_folder).replace("'", "\\'")
-    sys.argv = ["bgs-bench run", "--multirun", *overrides, *_QUIET_HYDRA, f"hydra.sweep.dir='{quoted}'"]
     try:
-        hydra.main(config_path=str(config_folder().resolve()), config_name="config", version_base="1.3")(job)()
+        for each in sweeps:
+            sys.argv = ["bgs-bench run", "--multirun", *each, *_QUIET_HYDRA, f"hydra.sweep.dir='{quoted}'"]
+            hydra.main(config_path=str(config_folder().resolve()), config_name="config", version_base="1.3")(job)()
     finally:
         sys.argv = before
     print_table([collect_row(path) for path in finished], console)

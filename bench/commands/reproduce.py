@@ -1,0 +1,165 @@
+"""``bgs-bench reproduce``: make the runs that a table of the paper wants, then write the table."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from bench.errors import BenchError
+from bench.runs.atomic import write_text
+from bench.runs.config_file import CONFIG_FILE
+from bench.sweeps.gpus import gpus_of_this_machine
+from bench.sweeps.lookup import look_up
+from bench.sweeps.plan import Plan, make_plan
+from bench.sweeps.sweep import Choice, Sweep
+from bench.sweeps.view import SweepView
+from bench.tables.named.definitions import SEEDS, TABLES, named_table
+from bench.tables.named.records import VIEW_GROUPS
+from bench.tables.named.table import FORMATS, make_table
+
+_EXAMPLES = """examples:
+  bgs-bench reproduce ablation dataset.root=DIR
+  bgs-bench reproduce backbones dataset.root=DIR dataset.frames=0:10 mapper.iterations=8 --seeds 0 --jobs 2
+  bgs-bench reproduce main_kitti dataset.root=DIR --dry-run
+
+Killed or stopped, the same command goes on where it was. A run is whole or made again; those that are there stay."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Register the command with the parser that ``bgs-bench`` builds."""
+    parser = subparsers.add_parser(
+        "reproduce",
+        help="make the runs that a table of the paper wants and that are not there yet, then write it",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("table", metavar="TABLE", help=f"one of {', '.join(TABLES)}")
+    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="for all runs, as for `bgs-bench run`")
+    parser.add_argument(
+        "--seeds", type=_seeds, default=SEEDS, metavar="0,1,2", help="a run of each cell for each (default: 0,1,2)"
+    )
+    parser.add_argument(
+        "--missing", action="store_true", help="only runs without a folder; default: also those stopped or killed"
+    )
+    parser.add_argument("--rerun-failed", action="store_true", help="also those that failed")
+    parser.add_argument("--jobs", type=_jobs, default=1, metavar="N", help="so many at once (default: 1)")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be run, in which order, and stop")
+    parser.add_argument(
+        "--out", type=Path, default=Path("results/tables"), metavar="FOLDER", help="default: results/tables"
+    )
+    parser.add_argument("--views", choices=VIEW_GROUPS, default="left", help="whose image metrics (default: all left)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Plan, make what is missing, write the table. Exit code 0 = every run of the plan is done, 1 = not, 130 = Ctrl-C.
+
+    Raises ``BenchError`` for wrong input, before anything is run.
+    """
+    table = named_table(args.table)
+    plan = make_plan(table, args.overrides, args.seeds)
+    choice = Choice(interrupted=not args.missing, failed=args.rerun_failed)
+    console = Console()
+    if args.dry_run:
+        _show(plan, choice, console)
+        return 0
+    _say_skipped(plan, console)
+    wanted = [planned for planned in plan.runs if choice.wants(look_up(planned.folder).progress)]
+    _say(f"{table.name}: {len(plan.runs)} runs, {len(wanted)} to make, {args.jobs} at once, in {plan.root}", console)
+    if args.jobs > 1 and any(metric.unit == "s/frame" for metric in table.metrics):
+        _say("note: runs that share the cores are slower; for times to publish leave out --jobs", console)
+    view = SweepView(console, table.name, len(wanted), args.jobs)
+    try:
+        with _terminate_as_interrupt(), view:
+            Sweep(wanted, args.jobs, choice, view, gpus_of_this_machine()).run()
+    except KeyboardInterrupt:
+        _say(f"stopped; {_counted(plan)}. The same command goes on from there.", console)
+        return 130
+    _write_table(table.name, plan, args, console)
+    _say(f"{table.name}: {_counted(plan)}", console)
+    return 0 if all(look_up(planned.folder).progress == "finished" for planned in plan.runs) else 1
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    try:
+        seeds = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of whole numbers such as 0,1,2") from None
+    if min(seeds) < 0 or len(set(seeds)) < len(seeds):
+        raise argparse.ArgumentTypeError(f"{text!r} must hold different numbers, 0 or more")
+    return seeds
+
+
+def _jobs(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at least 1")
+    return int(text)
+
+
+def _show(plan: Plan, choice: Choice, console: Console) -> None:
+    """The plan of ``--dry-run``: a line for each run, in order, and why the others are left."""
+    for planned in plan.runs:
+        found = look_up(planned.folder)
+        reason = f" ({found.reason})" if found.reason else ""
+        what = "run " if choice.wants(found.progress) else "keep"
+        _say(f"{what} {found.progress}{reason}: {planned.label}, {planned.frames} frames, {planned.folder}", console)
+    _say_skipped(plan, console)
+
+
+def _say_skipped(plan: Plan, console: Console) -> None:
+    """A line for each reason, with the cells that it keeps from being run."""
+    by_reason: dict[str, list[str]] = {}
+    for skipped in plan.skipped:
+        by_reason.setdefault(skipped.reason, []).append(f"{skipped.cell.row}, {skipped.cell.column}")
+    for reason, labels in by_reason.items():
+        more = f" and {len(labels) - 2} more" if len(labels) > 2 else ""
+        _say(f"skipped: {'; '.join(labels[:2])}{more}: {reason}", console)
+
+
+def _write_table(name: str, plan: Plan, args: argparse.Namespace, console: Console) -> None:
+    """Print the table of this plan's runs alone and write it in every format; without any run there is none."""
+    folders = [planned.folder for planned in plan.runs if (planned.folder / CONFIG_FILE).is_file()]
+    if not folders:
+        _say("no run was made, so the table was not written", console)
+        return
+    table = make_table(name, folders, args.views)
+    table.print(console)
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BenchError(f"Can't make the folder of --out {args.out}: {error.strerror}. Give another place.") from error
+    for form in FORMATS:
+        file = args.out / f"{name}.{form}"
+        write_text(file, table.text(form, file.parent))
+        _say(f"wrote {file}", console)
+
+
+def _counted(plan: Plan) -> str:
+    """How many runs are in which state, for example "19 finished, 2 failed"."""
+    counts = Counter(look_up(planned.folder).progress for planned in plan.runs)
+    return ", ".join(f"{count} {progress}" for progress, count in counts.most_common())
+
+
+def _say(text: str, console: Console) -> None:
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def _terminate_as_interrupt() -> Iterator[None]:
+    """A polite kill (SIGTERM) ends the sweep like Ctrl-C."""
+
+    def interrupt(signum: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

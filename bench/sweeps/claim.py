@@ -1,0 +1,73 @@
+"""The claim of one process to a run: while it lasts, no other process starts the same run."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+
+from bench.errors import BenchError
+
+SWEEP_FOLDER = ".sweep"
+"""Beside the run folders: a lock and a log for each run that was started."""
+
+
+class Claim:
+    """An open, locked file. The system lets go of it when every process that inherited it has ended, however.
+
+    So the run's own process inherits it (``Popen(pass_fds=[claim.fd])``): should the sweep be killed, the run that goes
+    on alone is still claimed. ``Claim.attempt`` makes one.
+    """
+
+    def __init__(self, fd: int) -> None:
+        self.fd = fd
+
+    @classmethod
+    def attempt(cls, run_folder: Path) -> Claim | None:
+        """Claim the run of this folder, or None where another process has; raises ``BenchError`` for no lock file."""
+        path = claim_path(run_folder, "lock")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise BenchError(
+                f"Can't make {path}: {error.strerror}. Give output= a place that you may write to."
+            ) from error
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(fd)
+            return None
+        claim = cls(fd)
+        try:
+            claim.note(os.getpid())
+        except BenchError:
+            claim.release()
+            raise
+        return claim
+
+    def note(self, pid: int) -> None:
+        """Write into the file which process does the work, for those who find it claimed.
+
+        Raises ``BenchError`` where that can't be written.
+        """
+        try:
+            os.ftruncate(self.fd, 0)
+            os.pwrite(self.fd, f"{pid}\n".encode(), 0)
+        except OSError as error:
+            raise BenchError(f"Can't write a sweep's lock file: {error.strerror}. Check the free space.") from error
+
+    def release(self) -> None:
+        """Let go of it (a process that inherited it still holds it)."""
+        os.close(self.fd)
+
+
+def claimed_by(run_folder: Path) -> str:
+    """Who has claimed the run, in words."""
+    text = claim_path(run_folder, "lock").read_text().strip()
+    return f"process {text}" if text else "another process"
+
+
+def claim_path(run_folder: Path, what: str) -> Path:
+    """The file beside the run folders that belongs to one: ``what`` is "lock" or "log"."""
+    return run_folder.parent / SWEEP_FOLDER / f"{run_folder.name}.{what}"

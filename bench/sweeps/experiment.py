@@ -1,0 +1,27 @@
+"""``experiment=NAME`` of ``bgs-bench run -m``: the rows and sequences of a table of the paper, as overrides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bench.errors import BenchError, require_choice
+from bench.tables.named.definitions import TABLES, cells
+
+EXPERIMENT = "experiment="
+"""How the override begins."""
+
+
+def expand_experiment(overrides: Sequence[str]) -> list[list[str]]:
+    """One list of overrides for each cell of the table that ``experiment=`` names; without it, the overrides alone.
+
+    A table's rows differ in several settings at once, so they are no product of values, which is all that Hydra's
+    sweeper makes. Cells that nobody can run are left out. Raises ``BenchError`` for an unknown or repeated name.
+    """
+    names = [each.removeprefix(EXPERIMENT) for each in overrides if each.startswith(EXPERIMENT)]
+    if not names:
+        return [list(overrides)]
+    if len(names) > 1:
+        raise BenchError(f"{' '.join(EXPERIMENT + name for name in names)}: give one experiment at a time.")
+    table = TABLES[require_choice("experiment", names[0], TABLES)]
+    others = [each for each in overrides if not each.startswith(EXPERIMENT)]
+    return [[*others, *cell.overrides] for cell in cells(table) if not cell.blocked]

@@ -1,0 +1,168 @@
+"""What a named table wants to have run: its cells with their seeds, composed, in the order that fills it soonest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from bench import registry
+from bench.config import RunConfig, check_overrides, compose_run, config_folder, resolved, with_home
+from bench.errors import BenchError
+from bench.registry import KINDS, SEVERAL_AT_ONCE
+from bench.tables.collect import DEFAULT_FOLDER
+from bench.tables.named.definitions import Cell, NamedTable, cells
+from bench.tables.named.overrides import row_of
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """One run of a cell. ``overrides`` are those of ``bgs-bench run``; ``frames`` is how many the data set has."""
+
+    cell: Cell
+    seed: int
+    config: RunConfig
+    folder: Path
+    overrides: tuple[str, ...]
+    frames: int
+
+    @property
+    def label(self) -> str:
+        """The run in words: row, sequence and seed."""
+        return f"{self.cell.row}, {self.cell.column}, seed {self.seed}"
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A cell that can't be run here, and why."""
+
+    cell: Cell
+    reason: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """``runs`` in the order in which they are made; their folders lie in ``root``."""
+
+    runs: tuple[PlannedRun, ...]
+    skipped: tuple[Skipped, ...]
+    root: Path
+
+
+def make_plan(table: NamedTable, overrides: Sequence[str], seeds: Sequence[int]) -> Plan:
+    """Expand the table's cells by ``seeds``; ``overrides`` (Hydra syntax) hold for all cells but where a cell differs.
+
+    The first seed of every cell comes first, and within a seed the sequences with the fewest frames. ``output=`` names
+    the folder that gets the run folders. Raises ``BenchError`` for overrides that are wrong or that would take a run
+    out of its cell, and where no cell can be run, with the reason of the first.
+    """
+    of_table = cells(table)
+    common, root = _split_output(_checked(overrides, table.name, of_table))
+    runs: list[PlannedRun] = []
+    skipped: list[Skipped] = []
+    known: dict[str, int | str] = {}
+    for cell in of_table:
+        reason = cell.blocked or _without_plugin(cell)
+        if reason:
+            skipped.append(Skipped(cell, reason))
+            continue
+        config = _compose(table, cell, common)
+        frames = _unavailable(config, known) or _frames(config, known)
+        if isinstance(frames, str):
+            skipped.append(Skipped(cell, frames))
+        else:
+            runs += [_planned(cell, seed, config, root, common, frames) for seed in seeds]
+    if not runs and skipped:
+        raise BenchError(f"No cell of {table.name} can be run: {skipped[0].reason}")
+    order = {seed: position for position, seed in enumerate(seeds)}
+    # Stable: cells of one sequence stay in the table's order.
+    runs.sort(key=lambda run: (order[run.seed], run.frames))
+    return Plan(tuple(runs), tuple(skipped), root)
+
+
+def _checked(overrides: Sequence[str], table: str, of_table: Sequence[Cell]) -> list[str]:
+    """The user's overrides; raises ``BenchError`` for one that sweeps, or that every cell has its own value of."""
+    everywhere = set.intersection(*({each.partition("=")[0] for each in cell.overrides} for cell in of_table))
+    lines = with_home(overrides)
+    for parsed in check_overrides(lines):
+        key = parsed.get_key_element()
+        if parsed.is_sweep_override():
+            raise BenchError(f"{parsed.input_line} names several values; a table's cells have one. Give one value.")
+        if key == "seed":
+            raise BenchError(f"{parsed.input_line}: a table wants several seeds; give them as --seeds 0,1,2.")
+        if key in everywhere:
+            raise BenchError(f"{parsed.input_line}: every cell of {table} has its own {key}. Leave it out.")
+    return lines
+
+
+def _split_output(overrides: list[str]) -> tuple[list[str], Path]:
+    """The overrides without ``output=``, and the folder that it names (default ``results/runs``)."""
+    root = DEFAULT_FOLDER
+    rest = []
+    for parsed in check_overrides(overrides):
+        if parsed.get_key_element() == "output":
+            root = Path(str(parsed.value()))
+        else:
+            rest.append(parsed.input_line or "")
+    return rest, root
+
+
+def _without_plugin(cell: Cell) -> str:
+    """Why the bench has no such plugin, or an empty string."""
+    for override in cell.overrides:
+        kind, _, name = override.partition("=")
+        if kind in KINDS and kind not in SEVERAL_AT_ONCE and name not in registry.names(kind):
+            preset = config_folder() / kind / f"{name}.yaml"
+            if not preset.is_file():
+                return f"there is no {kind} plugin '{name}'"
+    return ""
+
+
+def _compose(table: NamedTable, cell: Cell, common: Sequence[str]) -> RunConfig:
+    config = compose_run([*common, *cell.overrides])
+    if row_of(table, config.values) != (cell.row, cell.column):
+        raise BenchError(
+            f"With {' '.join(common)} a run of '{cell.row}' would no longer be one of this row of {table.name}. "
+            "Leave out what makes the difference."
+        )
+    return config
+
+
+def _unavailable(config: RunConfig, known: dict[str, int | str]) -> str:
+    """Why a plugin of the run can't work on this machine, or an empty string; asked once for each."""
+    for kind in KINDS:
+        if kind in SEVERAL_AT_ONCE:
+            continue
+        name = config.values[kind]["name"]
+        key = f"{kind}={name}"
+        if key not in known:
+            reason = registry.lookup(kind, name).unavailable_reason()
+            known[key] = f"{key} can't run here: {reason}" if reason else ""
+        if known[key]:
+            return str(known[key])
+    return ""
+
+
+def _frames(config: RunConfig, known: dict[str, int | str]) -> int | str:
+    """How many frames the run's data set has, or why it can't be opened; opened once."""
+    key = json.dumps(config.values["dataset"], sort_keys=True, default=str)
+    if key not in known:
+        try:
+            known[key] = len(registry.build(config.plugin("dataset"), "dataset"))
+        except BenchError as error:
+            known[key] = str(error)
+    return known[key]
+
+
+def _planned(cell: Cell, seed: int, config: RunConfig, root: Path, common: Sequence[str], frames: int) -> PlannedRun:
+    values: dict[str, Any] = config.values | {"seed": seed}
+    # Resolving plain values again takes a tenth of the time of composing them again.
+    seeded = resolved(OmegaConf.create(values))
+    folder = root / seeded.hash
+    quoted = str(folder).replace("\\", "\\\\").replace("'", "\\'")
+    overrides = (*common, *cell.overrides, f"seed={seed}", f"output='{quoted}'")
+    return PlannedRun(cell, seed, seeded, folder, overrides, frames)

@@ -1,0 +1,33 @@
+"""``bgs-bench`` whose sweeps have fakes in place of runs: ``python reproduce_with_fakes.py CONTROL reproduce ...``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from omegaconf import OmegaConf
+
+from bench.cli import main
+from bench.sweeps import child, sweep
+from bench.sweeps.plan import PlannedRun
+
+
+def use_fakes(control: Path) -> None:
+    """Let sweeps of this process start ``fake_run.py``; what each does stands in ``control/behaviour.json``."""
+
+    def command_of(planned: PlannedRun) -> list[str]:
+        job = control / f"{planned.config.hash}.json"
+        config = f"# bgs-bench run, config hash {planned.config.hash}\n"
+        config += OmegaConf.to_yaml(OmegaConf.create(planned.config.values))
+        content = {"folder": str(planned.folder), "label": planned.label, "seed": planned.seed, "config": config}
+        job.write_text(json.dumps(content))
+        return [sys.executable, "-S", str(Path(__file__).with_name("fake_run.py")), str(job)]
+
+    child.command_of = command_of
+    sweep._POLL_S = 0.01
+
+
+if __name__ == "__main__":
+    use_fakes(Path(sys.argv[1]))
+    sys.exit(main(sys.argv[2:]))

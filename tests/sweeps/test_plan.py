@@ -1,0 +1,139 @@
+"""Which runs a table wants, in which order, and which overrides can't be."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+from kitti_disk import write_kitti
+
+from bench.config import compose_run
+from bench.errors import BenchError
+from bench.sweeps.experiment import expand_experiment
+from bench.sweeps.lookup import look_up
+from bench.sweeps.plan import make_plan
+from bench.tables.named.definitions import named_table
+
+SMALL = ("mapper.iterations=3", "tracker=groundtruth")
+
+
+def test_first_seed_of_every_cell_first_and_short_sequences_before_long_ones(kitti: Path) -> None:
+    """06 has 2 frames and 03 has 4; four rows of the table have runs of ours."""
+    plan = make_plan(named_table("main_kitti"), [f"dataset.root={kitti}"], [1, 0])
+    order = [(run.seed, run.cell.column, run.frames) for run in plan.runs]
+    assert order == [(1, "06", 2)] * 4 + [(1, "03", 4)] * 4 + [(0, "06", 2)] * 4 + [(0, "03", 4)] * 4
+    rows = ["BGS-SLAM (LiDAR)", "BGS-SLAM (Ours)", "bgs_slam", "bgs_slam_fast"]
+    assert [run.cell.row for run in plan.runs[:4]] == rows
+    assert {(skipped.cell.row, skipped.cell.column) for skipped in plan.skipped} == {
+        (row, sequence) for row in rows for sequence in ("05", "07", "09", "10")
+    }
+    assert all("does not exist" in skipped.reason for skipped in plan.skipped)
+
+
+def test_the_run_command_composes_the_very_run(tmp_path: Path) -> None:
+    """Otherwise a sweep would look for its runs in folders where they are not; also where the path is an odd one."""
+    root = tmp_path / "it's a, {place}"
+    write_kitti(tmp_path / "kitti", frames=2, sequence="03")
+    quoted = str(root).replace("'", "\\'")
+    overrides = [f"dataset.root={tmp_path / 'kitti'}", *SMALL, f"output='{quoted}'"]
+    plan = make_plan(named_table("ablation"), overrides, [2])
+    assert len(plan.runs) == 7
+    for planned in plan.runs[::3]:
+        composed = compose_run(planned.overrides)
+        assert (composed.hash, composed.output) == (planned.config.hash, planned.folder)
+        assert composed.values["seed"] == 2
+        assert planned.folder.parent == root
+
+
+def test_a_setting_that_some_cells_fix_holds_for_the_others(kitti: Path) -> None:
+    """Where a row is about that setting, the row's own value stands."""
+    plan = make_plan(named_table("main_kitti"), [f"dataset.root={kitti}", "stereo=sgbm"], [0])
+    assert {run.config.values["stereo"]["name"] for run in plan.runs if "LiDAR" in run.cell.row} == {"lidar"}
+    assert {run.config.values["stereo"]["name"] for run in plan.runs if "LiDAR" not in run.cell.row} == {"sgbm"}
+
+
+def test_backbones_that_cannot_run_here_are_skipped_with_the_reason(kitti: Path) -> None:
+    plan = make_plan(named_table("backbones"), [f"dataset.root={kitti}"], [0])
+    assert "SGBM" in {run.cell.row for run in plan.runs}
+    assert all(skipped.reason for skipped in plan.skipped)
+    assert len(plan.runs) + len(plan.skipped) == 10
+
+
+@pytest.mark.parametrize(
+    ("table", "override", "message"),
+    [
+        ("ablation", "seed=1", "seed=1: a table wants several seeds; give them as --seeds 0,1,2."),
+        ("ablation", "mapper.iterations=3,4", "mapper.iterations=3,4 names several values; a table's cells have one."),
+        ("ablation", "dataset.sequence=03", "dataset.sequence=03: every cell of ablation has its own dataset.sequence"),
+        ("backbones", "stereo=sgbm", "stereo=sgbm: every cell of backbones has its own stereo. Leave it out."),
+        ("main_kitti", "sky=none", "a run of 'BGS-SLAM (LiDAR)' would no longer be one of this row of main_kitti"),
+        ("ablation", "mapper.iteratons=3", "Did you mean 'iterations'?"),
+        ("ablation", "dataset.root=/no/such/place", "No cell of ablation can be run: dataset.root=/no/such/place"),
+        ("main_kitti360", "mapper.iterations=3", "No cell of main_kitti360 can be run: there is no dataset plugin"),
+    ],
+)
+def test_overrides_that_cannot_be(kitti: Path, table: str, override: str, message: str) -> None:
+    root = [] if "root" in override else [f"dataset.root={kitti}"]
+    with pytest.raises(BenchError) as error:
+        make_plan(named_table(table), [*root, override], [0])
+    assert message in str(error.value)
+
+
+HERE = {"host": socket.gethostname(), "pid": os.getpid()}
+DEAD = {"host": socket.gethostname(), "pid": 2**22 + 1}
+
+
+@pytest.mark.parametrize(
+    ("status", "scored", "progress", "reason"),
+    [
+        ({"state": "done"}, True, "finished", ""),
+        ({"state": "done"}, False, "interrupted", "it was not scored"),
+        ({"state": "failed", "reason": "no disk"}, False, "failed", "no disk"),
+        ({"state": "out_of_memory", "reason": "40 GB"}, True, "failed", "out of memory: 40 GB"),
+        ({"state": "interrupted", "reason": "by the user"}, True, "interrupted", "by the user"),
+        ({"state": "running", **HERE}, False, "elsewhere", f"process {os.getpid()}"),
+        ({"state": "running", **DEAD}, False, "interrupted", "killed"),
+        ({"state": "running", **HERE, "host": "another"}, False, "out of sight", "running on another, process"),
+        (None, False, "interrupted", "it has not begun"),
+        ({"state": "dancing"}, False, "failed", "names no known state"),
+    ],
+)
+def test_what_a_folder_says(
+    tmp_path: Path, status: dict[str, Any] | None, scored: bool, progress: str, reason: str
+) -> None:
+    assert look_up(tmp_path).progress == "missing"
+    (tmp_path / "config.yaml").write_text("# bgs-bench run, config hash 0\nseed: 0\n")
+    if status is not None:
+        (tmp_path / "status.json").write_text(json.dumps(status))
+    if scored:
+        (tmp_path / "metrics.json").write_text("{}")
+    found = look_up(tmp_path)
+    assert found.progress == progress
+    assert reason in found.reason if reason else found.reason == ""
+
+
+def test_an_experiment_is_one_list_of_overrides_a_cell() -> None:
+    lists = expand_experiment(["experiment=ablation", "seed=0,1,2"])
+    assert len(lists) == 7
+    assert all(each[:3] == ["seed=0,1,2", "dataset=kitti", "dataset.sequence=03"] for each in lists)
+    assert ["sky=none" in each for each in lists] == [True] + [False] * 6
+    assert expand_experiment(["seed=0,1"]) == [["seed=0,1"]]
+    # Of the six sequences of KITTI-360 the images of one are withheld.
+    assert len(expand_experiment(["experiment=main_kitti360"])) == 4 * 5
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["experiment=ablatoin"], "Did you mean 'ablation'?"),
+        (["experiment=ablation", "experiment=memory"], "give one experiment at a time"),
+    ],
+)
+def test_experiments_that_cannot_be(overrides: list[str], message: str) -> None:
+    with pytest.raises(BenchError) as error:
+        expand_experiment(overrides)
+    assert message in str(error.value)

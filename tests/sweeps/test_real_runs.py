@@ -1,0 +1,45 @@
+"""The ablation by real, tiny runs: the two commands that make it agree, and a run made again has the same numbers."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bench.cli import main
+
+TINY = (
+    *("mapper.iterations=1", "tracker=groundtruth", "dataset.frames=0:2"),
+    *("protocol.lpips=false", "cache.enabled=false"),
+)
+
+
+@pytest.mark.slow
+def test_reproduce_finds_what_the_experiment_made(
+    tmp_path: Path, kitti: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    overrides = [f"dataset.root={kitti}", *TINY]
+    assert main(["run", "-m", "experiment=ablation", *overrides, "seed=0"]) == 0
+    runs = tmp_path / "results" / "runs"
+    assert len(list(runs.glob("*/metrics.json"))) == 7
+    capfd.readouterr()
+    assert main(["reproduce", "ablation", *overrides, "--seeds", "0"]) == 0
+    assert "7 runs, 0 to make" in capfd.readouterr().out
+    tables = {file.name: file.read_bytes() for file in (tmp_path / "results" / "tables").iterdir()}
+
+    gone = sorted(runs.glob("*/metrics.json"))[3].parent
+    before = json.loads((gone / "metrics.json").read_text())
+    shutil.rmtree(gone)
+    assert main(["reproduce", "ablation", *overrides, "--seeds", "0", "--jobs", "2"]) == 0
+    assert "7 runs, 1 to make, 2 at once" in capfd.readouterr().out
+    after = json.loads((gone / "metrics.json").read_text())
+    assert (after["views"], after["trajectory"]) == (before["views"], before["trajectory"])
+    assert {file.name: file.read_bytes() for file in (tmp_path / "results" / "tables").iterdir()} == tables
+
+
+def test_an_experiment_needs_a_sweep(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "experiment=ablation"]) == 2
+    assert capfd.readouterr().err == "bgs-bench: experiment= stands for many runs; add -m.\n"

@@ -1,0 +1,171 @@
+"""``bgs-bench reproduce`` with fakes in place of runs: what is made, what is left, and what a kill does."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from fake_bench import FULL, Bench, is_running, wait_until
+
+MakeBench = Callable[[str], Bench]
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory, kitti: Path) -> Bench:
+    """A sweep of three seeds that nothing disturbed."""
+    bench = Bench(tmp_path_factory.mktemp("unbroken") / "bench", kitti)
+    process = bench.start()
+    said, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, said
+    return bench
+
+
+def test_the_table_of_an_unbroken_sweep(unbroken: Bench) -> None:
+    """The fakes' PSNR is 20 dB + the seed, so that each of the seven rows has the mean 21 and the spread 1."""
+    tables = unbroken.tables()
+    assert set(tables) == {f"ablation.{form}" for form in ("md", "csv", "tex", "html")}
+    rows = list(csv.DictReader(io.StringIO(tables["ablation.csv"].decode())))
+    psnr = [row for row in rows if row["by"] == "ours" and row["metric"] == "psnr_db"]
+    assert [(float(row["value"]), float(row["std"]), row["n"]) for row in psnr] == [(21.0, 1.0, "3")] * 7
+    started = unbroken.started()
+    assert len(started) == len(set(started)) == 21
+    assert [label[-1] for label in started] == ["0"] * 7 + ["1"] * 7 + ["2"] * 7
+
+
+def test_what_is_there_is_not_made_again(unbroken: Bench, capfd: pytest.CaptureFixture[str]) -> None:
+    before = unbroken.tables()
+    unbroken.started()
+    assert unbroken.reproduce() == 0
+    assert unbroken.started() == []
+    assert unbroken.tables() == before
+    assert "21 runs, 0 to make" in capfd.readouterr().out
+
+
+@pytest.mark.slow
+def test_failures_end_nothing_else_and_are_chosen_by_kind(
+    make_bench: MakeBench, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bench = make_bench("failures")
+    seeds = ("--seeds", "0,1,2,3")
+    bench.behave(seed0="segv", seed1="oom", seed2="kill", seed3="wrong")
+    assert bench.reproduce(*seeds, "--jobs", "2") == 1
+    assert len(bench.started()) == 28
+    out = capfd.readouterr().out
+    assert f"failed: {FULL}0 (ended by signal 11 (Segmentation fault))" in out
+    assert f"failed: {FULL}1 (out of memory: 40 GB wanted)" in out
+    assert f"interrupted: {FULL}2 (ended by signal 9 (Killed), by hand or for want of memory)" in out
+    assert f"failed: {FULL}3 (the weights are missing)" in out
+    table = bench.tables()["ablation.md"].decode()
+    assert "seed 0: failed (ended by signal 11" in table
+    assert "seed 2: killed (ended by signal 9" in table
+
+    bench.reproduce(*seeds, "--dry-run")
+    assert bench.started() == []
+    plan = capfd.readouterr().out.splitlines()
+    kinds = ("keep failed", "keep failed", "run  interrupted", "run  missing")
+    assert [next(line for line in plan if f"{FULL}{seed}," in line).startswith(kinds[seed]) for seed in range(4)] == [
+        True
+    ] * 4
+
+    bench.behave()
+    assert bench.reproduce(*seeds, "--missing") == 1
+    assert bench.started() == [f"{FULL}3"]
+    assert bench.reproduce(*seeds) == 1
+    assert bench.started() == [f"{FULL}2"]
+    assert bench.reproduce(*seeds, "--rerun-failed") == 0
+    assert bench.started() == [f"{FULL}0", f"{FULL}1"]
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_goes_on_to_the_same_table(
+    make_bench: MakeBench, unbroken: Bench, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """First a run is killed with SIGKILL, then the sweep itself; the run that it leaves behind is not made twice."""
+    bench = make_bench("bench")
+    bench.behave(seed0="hang", seed1="hang")
+    sweep = bench.start()
+    os.kill(bench.hanging(seed=0), signal.SIGKILL)
+    orphan = bench.hanging(seed=1)
+    sweep.kill()
+    said, _ = sweep.communicate(timeout=60)
+    assert f"interrupted: {FULL}0 (ended by signal 9" in said
+    assert "Traceback" not in said
+    assert is_running(orphan)
+    assert not (bench.folder / "results" / "tables").exists()
+
+    bench.started()
+    bench.behave()
+    going_on = bench.start()
+    # All but the orphan's run can be made meanwhile: the killed one, and the third seed.
+    made = [f"{FULL}0", *[label[:-1] + "2" for label in labels_of(unbroken)]]
+    started = bench.control / "started.txt"
+    wait_until(lambda: started.exists() and len(started.read_text().splitlines()) == len(made))
+    assert bench.started() == made
+    assert going_on.poll() is None
+    os.kill(orphan, signal.SIGKILL)
+    said, _ = going_on.communicate(timeout=60)
+    assert going_on.returncode == 0, said
+    assert f"running elsewhere (process {orphan}): {FULL}1" in said
+    assert bench.started() == [f"{FULL}1"]
+    assert bench.tables() == unbroken.tables()
+
+
+def labels_of(bench: Bench) -> list[str]:
+    """Labels of the runs with seed 0, in the table's order, from the jobs that were handed out."""
+    jobs = [json.loads(file.read_text()) for file in bench.control.glob("*.json") if file.stem != "behaviour"]
+    order = ["w/o ss", "w/o wd", "w/o nl", "w/o sl", "with ds", "w/o gradient", "Ours"]
+    labels = [job["label"] for job in jobs if job["seed"] == 0]
+    return sorted(labels, key=lambda label: next(i for i, start in enumerate(order) if label.startswith(start)))
+
+
+@pytest.mark.slow
+def test_two_sweeps_do_the_work_once(make_bench: MakeBench, unbroken: Bench) -> None:
+    bench = make_bench("bench")
+    bench.behave(seed0="slow", seed1="slow", seed2="slow")
+    both = [bench.start(), bench.start()]
+    for sweep in both:
+        said, _ = sweep.communicate(timeout=120)
+        assert sweep.returncode == 0, said
+    started = bench.started()
+    assert len(started) == len(set(started)) == 21
+    assert bench.tables() == unbroken.tables()
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_ends_the_runs_politely(make_bench: MakeBench, sent: signal.Signals) -> None:
+    bench = make_bench("bench")
+    bench.behave(seed0="polite")
+    sweep = bench.start("--seeds", "0")
+    pid = bench.hanging(seed=0)
+    sweep.send_signal(sent)
+    said, _ = sweep.communicate(timeout=60)
+    assert sweep.returncode == 130
+    assert not is_running(pid)
+    assert f"interrupted: {FULL}0 (stopped by the user)" in said
+    assert said.endswith("stopped; 6 finished, 1 interrupted. The same command goes on from there.\n")
+    bench.started()
+    bench.behave()
+    assert bench.reproduce("--seeds", "0") == 0
+    assert bench.started() == [f"{FULL}0"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--seeds", "0,0"], "must hold different numbers"),
+        (["--seeds", "a"], "no list of whole numbers"),
+        (["--jobs", "0"], "no whole number of at least 1"),
+    ],
+)
+def test_wrong_options(
+    make_bench: MakeBench, capfd: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        make_bench("bench").reproduce(*arguments)
+    assert message in capfd.readouterr().err
