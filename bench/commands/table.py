@@ -11,7 +11,7 @@ from rich.console import Console
 from bench.errors import BenchError, did_you_mean
 from bench.runs.atomic import write_text
 from bench.tables.collect import collect_row, find_runs
-from bench.tables.named.definitions import TABLES
+from bench.tables.named.definitions import TABLE_NAMES
 from bench.tables.named.records import VIEW_GROUPS
 from bench.tables.named.table import FORMATS, make_table
 from bench.tables.render import print_table, writer_for
@@ -22,7 +22,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "table",
         help="one row a run, or one of the paper's tables: to the terminal, and to .md, .csv, .tex, .html",
-        description=f"The paper's tables are {', '.join(TABLES)}; without a name: one row a run.",
+        description=f"The paper's tables are {', '.join(TABLE_NAMES)}; without a name: one row a run.",
     )
     parser.add_argument(
         "runs",
@@ -52,10 +52,10 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the table and write it to each ``--out``; raises ``BenchError`` for a wrong name, folder or extension."""
     name = str(args.runs[0]) if args.runs else ""
-    if name in TABLES:
+    if name in TABLE_NAMES:
         return _named(name, args.runs[1:], args)
-    if near := "" if not name or args.runs[0].exists() else did_you_mean(name, TABLES):
-        raise BenchError(f"There is no folder and no table {name}; the tables are {', '.join(TABLES)}.{near}")
+    if near := "" if not name or args.runs[0].exists() else did_you_mean(name, TABLE_NAMES):
+        raise BenchError(f"There is no folder and no table {name}; the tables are {', '.join(TABLE_NAMES)}.{near}")
     if args.format:
         raise BenchError("--format goes with a table's name; write the table of runs with --out FILE.md or FILE.csv.")
     writers = {path: writer_for(path) for path in args.out}

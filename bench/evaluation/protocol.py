@@ -10,7 +10,9 @@ from bench.errors import BenchError, did_you_mean, require_choice
 
 ALIGNMENTS = ("se3", "none")
 RENDERED_DEPTHS = ("raw", "normalized")
-SSIM_FLAVOURS = ("skimage-gaussian",)
+DEPTH_MASKS = ("all", "unoccluded")
+SSIM_FLAVOURS = ("skimage-gaussian", "3dgs", "ms-ssim")
+SKIES = ("in", "out")
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,10 @@ class Protocol:
     0 keeps none out. ``alignment`` is that of the ATE ("se3": rotation and translation, no scale; "none"). The depth
     range in metres limits which LiDAR returns count for Depth-L1 (``depth_max_m`` None: no cap). ``rendered_depth``
     says what the system saved: "raw" = sum d a T, "normalized" = divided by the accumulated alpha.
-    ``right_view`` scores the right camera too; ``lpips_weights`` names a file of AlexNet weights.
+    ``depth_mask`` "unoccluded" leaves out LiDAR returns from behind an edge (``lidar_occlusion``), "all" none.
+    ``right_view`` scores the right camera too; ``lpips_weights`` names a file of AlexNet weights. ``ssim``: windows
+    that lie in the image ("skimage-gaussian"), or reach beyond it into black ("3dgs"); or five scales ("ms-ssim").
+    ``sky`` "out" scores no pixel that the data set's own sky mask says is sky; there is no LPIPS then.
     """
 
     name: str = "default"
@@ -31,16 +36,21 @@ class Protocol:
     rendered_depth: str = "raw"
     depth_min_m: float = 0.5
     depth_max_m: float | None = None
+    depth_mask: str = "all"
     right_view: bool = True
     ssim: str = "skimage-gaussian"
     lpips: bool = True
     lpips_weights: str | None = None
+    sky: str = "in"
 
     def __post_init__(self) -> None:
         """Check the values; raises ``BenchError`` naming the setting, its value and what is accepted."""
         require_choice("protocol.alignment", self.alignment, ALIGNMENTS)
         require_choice("protocol.rendered_depth", self.rendered_depth, RENDERED_DEPTHS)
         require_choice("protocol.ssim", self.ssim, SSIM_FLAVOURS)
+        require_choice("protocol.depth_mask", self.depth_mask, DEPTH_MASKS)
+        require_choice("protocol.sky", self.sky, SKIES)
+        self._check_sky()
         if self.holdout_every < 0 or self.holdout_every == 1:
             raise BenchError(
                 f"protocol.holdout_every={self.holdout_every} is no use: 0 keeps no frame out, 2 or more every so many."
@@ -56,6 +66,19 @@ class Protocol:
             raise BenchError(
                 f"protocol.depth_max_m={self.depth_max_m} must be above protocol.depth_min_m={self.depth_min_m}, "
                 "or null for no cap."
+            )
+
+    def _check_sky(self) -> None:
+        if self.sky == "in":
+            return
+        if self.right_view:
+            raise BenchError(
+                "protocol.sky=out needs protocol.right_view=false: data sets know the sky of left images only."
+            )
+        if self.ssim == "ms-ssim":
+            raise BenchError(
+                "protocol.sky=out can't go with protocol.ssim=ms-ssim, whose larger scales mix sky and street; choose "
+                "skimage-gaussian or 3dgs."
             )
 
     @classmethod
@@ -78,11 +101,13 @@ class Protocol:
         """What ``metrics.json`` says about how its numbers were made (without paths of this machine)."""
         stamp = asdict(self)
         del stamp["lpips_weights"]
+        values = "pixels and channels" if self.sky == "in" else "channels and the pixels that are not sky"
+        returns = "LiDAR pixels" if self.depth_mask == "all" else "LiDAR pixels without a nearer return beside them"
         return stamp | {
             **trajectory_stamp(self.alignment),
-            "psnr": "joint over pixels and channels, 8-bit images, capped at 100 dB",
-            "lpips_net": "alex, v0.1" if self.lpips else None,
-            "depth_l1": "left views, LiDAR pixels in range, no surface counts as depth 0, mean of frame means",
+            "psnr": f"joint over {values}, 8-bit images, capped at 100 dB",
+            "lpips_net": "alex, v0.1" if self.lpips and self.sky == "in" else None,
+            "depth_l1": f"left views, {returns} in range, no surface counts as depth 0, mean of frame means",
             "average": "mean of per-frame values",
         }
 

@@ -38,6 +38,8 @@ _STAMP = (
     "rendered_depth",
     "depth_min_m",
     "depth_max_m",
+    "depth_mask",
+    "sky",
     "ssim",
     "lpips_net",
     "right_images_mapped",

@@ -8,6 +8,7 @@ import numpy as np
 
 from bench.contracts.evaluator import Evaluator
 from bench.evaluation.depth import depth_l1_cm
+from bench.evaluation.lidar_occlusion import unoccluded
 from bench.registry import PluginConfig, register
 from bench.runs.saved import GROUPS, VIEW_OF_GROUP, SavedRun
 
@@ -52,6 +53,8 @@ def _errors_of_left_views(run: SavedRun) -> dict[int, float]:
         depth = run.depth("left", number) if lidar is not None else None
         if lidar is None or depth is None:
             continue
+        if run.protocol.depth_mask == "unoccluded":
+            lidar = np.where(unoccluded(lidar), lidar, np.float32(np.nan))
         error, pixels = depth_l1_cm(depth, lidar, run.protocol.depth_min_m, run.protocol.depth_max_m)
         if pixels:
             errors[number] = error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,15 @@ import numpy as np
 from bench.contracts.evaluator import Evaluator
 from bench.errors import BenchError
 from bench.evaluation.image import psnr, ssim
-from bench.evaluation.lpips_metric import MINIMUM_SIDE, Lpips, find_alexnet_weights
+from bench.evaluation.lpips_metric import Lpips
+from bench.evaluation.protocol import Protocol
+from bench.evaluation.regions import psnr_where, ssim_where, unit_range
+from bench.evaluation.run_lpips import lpips_of
+from bench.evaluation.ssim_flavours import ms_ssim, ssim_3dgs
 from bench.registry import PluginConfig, register
 from bench.runs.folder import View
-from bench.runs.provenance import sha256_of
 from bench.runs.saved import GROUPS, VIEW_OF_GROUP, SavedRun
-from bench.types import Image
+from bench.types import Image, Mask
 
 Scores = dict[tuple[View, int], dict[str, float | None]]
 """Metrics of each image; one that can't be computed is None for all of them."""
@@ -31,7 +35,13 @@ class ImageEvaluator(Evaluator):
         """``views.<group>`` with n, psnr_db, ssim, lpips (means of per-image values); absent groups have no view."""
         if not (run.rendered("left") or run.rendered("right")):
             return {"views": {}, "notes": {"image": "the run saved no renders"}}
-        lpips, about_lpips = _lpips_of(run)
+        if run.protocol.sky == "out":
+            if run.dataset.true_sky(0) is None:
+                return {"views": {}, "notes": {"image": _no_sky(run)}}
+            reason = "LPIPS is of whole images, and protocol.sky=out leaves a part of them out"
+            lpips, about_lpips = None, {"notes": {"lpips": reason}}
+        else:
+            lpips, about_lpips = lpips_of(run)
         scores = _score_views(run, lpips)
         for (view, number), values in scores.items():
             run.add_per_frame(view, number, **values)
@@ -44,20 +54,6 @@ class ImageEvaluator(Evaluator):
                     metric: _mean([values[metric] for values in of_group]) for metric in of_group[0]
                 }
         return {"views": views, **about_lpips}
-
-
-def _lpips_of(run: SavedRun) -> tuple[Lpips | None, dict[str, Any]]:
-    """The metric, or None, with what ``metrics.json`` should say about it."""
-    if not run.protocol.lpips:
-        return None, {"notes": {"lpips": "switched off by protocol.lpips=false"}}
-    camera = run.dataset.camera
-    if min(camera.width, camera.height) < MINIMUM_SIDE:
-        return None, {"notes": {"lpips": f"images of {camera.width}x{camera.height} pixels are too small for AlexNet"}}
-    found = find_alexnet_weights(run.protocol.lpips_weights)
-    if isinstance(found, str):
-        return None, {"notes": {"lpips": found}}
-    run.weights["lpips"] = found.path
-    return Lpips(found), {"protocol": {"lpips_weights_sha256": sha256_of(found.path)}}
 
 
 def _score_views(run: SavedRun, lpips: Lpips | None) -> Scores:
@@ -75,15 +71,32 @@ def _score_views(run: SavedRun, lpips: Lpips | None) -> Scores:
                 "Check that the data set's files are those of the run."
             )
         frame = run.dataset.frame(position_of[number])
+        counts = _pixels_that_count(run, position_of[number])
         if number in left:
-            scores["left", number] = _score(run, "left", number, frame.left, lpips)
+            scores["left", number] = _score(run, "left", number, frame.left, lpips, counts)
         if number in right:
-            scores["right", number] = _score(run, "right", number, frame.right, lpips)
+            scores["right", number] = _score(run, "right", number, frame.right, lpips, None)
     run.report_progress("images", len(numbers), len(numbers))
     return scores
 
 
-def _score(run: SavedRun, view: View, number: int, image: Image, lpips: Lpips | None) -> dict[str, float | None]:
+def _pixels_that_count(run: SavedRun, position: int) -> Mask | None:
+    """Of a left image, by the protocol: those that are not sky, or None for all."""
+    if run.protocol.sky == "in":
+        return None
+    sky = run.dataset.true_sky(position)
+    if sky is None:
+        raise BenchError(f"Frame {run.dataset.numbers[position]}: {_no_sky(run)}.")
+    return ~sky
+
+
+def _no_sky(run: SavedRun) -> str:
+    return f"the data set {run.dataset.label} does not know where its sky is; use protocol.sky=in"
+
+
+def _score(
+    run: SavedRun, view: View, number: int, image: Image, lpips: Lpips | None, counts: Mask | None
+) -> dict[str, float | None]:
     render = run.render(view, number)
     assert render is not None  # the caller asks for renders that are there
     if render.shape != image.shape:
@@ -91,11 +104,23 @@ def _score(run: SavedRun, view: View, number: int, image: Image, lpips: Lpips | 
             f"The {view} render of frame {number} in {run.path} is {render.shape[1]}x{render.shape[0]} pixels, "
             f"the data set's image {image.shape[1]}x{image.shape[0]}. Are its files those of the run?"
         )
+    if counts is not None:
+        scores = psnr_where(render, image, counts), ssim_where(render, image, counts, run.protocol.ssim)
+        # An image that is all sky has no score.
+        known = [value if math.isfinite(value) else None for value in scores]
+        return {"psnr_db": known[0], "ssim": known[1], "lpips": None}
     return {
         "psnr_db": psnr(render, image),
-        "ssim": ssim(render, image),
+        "ssim": _ssim(render, image, run.protocol),
         "lpips": None if lpips is None else lpips([render], [image])[0],
     }
+
+
+def _ssim(render: Image, image: Image, protocol: Protocol) -> float:
+    if protocol.ssim == "skimage-gaussian":
+        return ssim(render, image)
+    flavour = ssim_3dgs if protocol.ssim == "3dgs" else ms_ssim
+    return flavour(unit_range(render), unit_range(image))
 
 
 def _mean(values: list[float | None]) -> float | None:

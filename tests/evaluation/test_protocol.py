@@ -21,6 +21,10 @@ def test_the_stamp_says_how_and_has_no_path() -> None:
     assert stamp["depth_max_m"] == 80.0
     assert "somebody" not in json.dumps(stamp)
     assert Protocol(lpips=False).stamp()["lpips_net"] is None
+    without_sky = Protocol(sky="out", right_view=False, depth_mask="unoccluded").stamp()
+    assert without_sky["lpips_net"] is None
+    assert "not sky" in without_sky["psnr"]
+    assert "without a nearer return" in without_sky["depth_l1"]
 
 
 @pytest.mark.parametrize(
@@ -28,7 +32,11 @@ def test_the_stamp_says_how_and_has_no_path() -> None:
     [
         ({"alignment": "sim3"}, r"protocol\.alignment='sim3' is not one of se3, none\."),
         ({"rendered_depth": "normalised"}, r"Did you mean 'normalized'\?"),
-        ({"ssim": "ms-ssim"}, r"protocol\.ssim='ms-ssim' is not one of skimage-gaussian"),
+        ({"ssim": "msssim"}, r"protocol\.ssim='msssim' is not one of skimage-gaussian, 3dgs, ms-ssim.*'ms-ssim'\?"),
+        ({"depth_mask": "garg"}, r"protocol\.depth_mask='garg' is not one of all, unoccluded"),
+        ({"sky": "no"}, r"protocol\.sky='no' is not one of in, out"),
+        ({"sky": "out"}, r"protocol\.sky=out needs protocol\.right_view=false"),
+        ({"sky": "out", "right_view": False, "ssim": "ms-ssim"}, r"sky=out can't go with protocol\.ssim=ms-ssim"),
         ({"holdout_every": 1}, r"protocol\.holdout_every=1 is no use"),
         ({"holdout_every": -2}, r"protocol\.holdout_every=-2 is no use"),
         ({"holdout_every": 2}, r"protocol\.holdout_remainder=2 must lie in 0\.\.1"),

@@ -128,7 +128,7 @@ def test_lpips_is_reported_or_explained(
 ) -> None:
     tiny_config["protocol"]["lpips"] = True
     run = write_tiny_run(tmp_path / "run", tiny_config)
-    monkeypatch.setattr("plugins.evaluators.image_quality.find_alexnet_weights", lambda _: "no weights: looked around")
+    monkeypatch.setattr("bench.evaluation.run_lpips.find_alexnet_weights", lambda _: "no weights: looked around")
     metrics = evaluate_run(run)
     assert metrics["views"]["left"]["lpips"] is None
     assert metrics["notes"]["lpips"] == "no weights: looked around"

@@ -224,6 +224,10 @@ TABLES = {
     )
 }
 
+DIALECTS = "dialects"
+"""A table of its own kind, of any runs: see ``bench.tables.named.dialects``."""
+TABLE_NAMES = (*TABLES, DIALECTS)
+
 
 def named_table(name: str) -> NamedTable:
     """The table of this name; raises ``BenchError`` with the names there are."""

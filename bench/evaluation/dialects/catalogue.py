@@ -1,0 +1,10 @@
+"""The dialects there are."""
+
+from __future__ import annotations
+
+from bench.evaluation.dialects.dialect import Dialect
+from bench.evaluation.dialects.loopsplat import LOOPSPLAT
+from bench.evaluation.dialects.monogs import MONOGS
+from bench.evaluation.dialects.splatam import SPLATAM
+
+DIALECTS: tuple[Dialect, ...] = (SPLATAM, MONOGS, LOOPSPLAT)
