@@ -198,8 +198,6 @@ def test_a_stopped_run_says_interrupted_and_keeps_what_was_done(
         text=True,
         cwd=tmp_path,
         env=environment(),
-        # Where the tests run in the background, a shell has told them to ignore Ctrl-C, and children inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     # The tracker waits in frame 2, and the mapper is done with frame 1.
     deadline, log_file = time.monotonic() + 60, folder / "log.txt"
