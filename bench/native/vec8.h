@@ -67,16 +67,6 @@ typedef int32_t i8 __attribute__((vector_size(32)));
 #endif
 }
 
-[[maybe_unused]] inline bool all(i8 mask) {
-#if defined(__AVX2__)
-    return _mm256_movemask_ps(reinterpret_cast<__m256>(mask)) == 0xff;
-#else
-    int64_t w[4];
-    std::memcpy(w, &mask, sizeof w);
-    return (w[0] & w[1] & w[2] & w[3]) == -1;
-#endif
-}
-
 // The lanes of v where the mask is set, zero elsewhere, whatever v holds there.
 [[maybe_unused]] inline f8 only(i8 mask, f8 v) { return reinterpret_cast<f8>(mask & reinterpret_cast<i8>(v)); }
 

@@ -41,10 +41,6 @@ class Pyramid:
         """Positions (N, 2) in pixels of the full image -> in pixels of their octave; pixel centres at integers."""
         return (xy + 0.5) / self.ratio[octave] - 0.5
 
-    def to_full(self, xy: Float, octave: Ints) -> Float:
-        """Inverse of ``to_octave``."""
-        return (xy + 0.5) * self.ratio[octave] - 0.5
-
 
 def grey(image: npt.NDArray[np.uint8]) -> Grey:
     """(H, W) uint8 luma of an RGB image (H, W, 3); a grey image passes through."""
