@@ -32,19 +32,35 @@ from bench.runs.config_file import NO_PART_OF_THE_RUN
 
 
 @dataclass
+class LimitsConfig:
+    """``memory_gb``: a run that occupies more GB (of 1e9 bytes, with the processes of its plugins) ends as out of
+    memory, before the system picks a process to kill; null = no limit."""
+
+    memory_gb: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.memory_gb is not None and not self.memory_gb > 0:
+            raise BenchError(f"limits.memory_gb={self.memory_gb} must be above 0, or null for no limit.")
+
+
+@dataclass
 class RootConfig:
     """The keys of a run; each kind of plugin has its own group beside them.
 
     ``output``: the run folder; None = ``results/runs/<hash of the config>``. ``rerun``: run again although the folder
-    holds this run, finished. ``plugins``: folders with plugins of your own. ``pipeline``: "parallel" lets tracking
-    and stereo run ahead of mapping, "sequential" does not; the result is the same. ``cache``: the disk cache of depth
-    maps and sky masks.
+    holds this run, finished. ``resume``: a run that was stopped or killed goes on from its last checkpoint, which is
+    written every ``checkpoint_s`` seconds (0: after each frame; inf: never). ``limits``: where a run ends itself.
+    ``plugins``: folders with plugins of your own. ``pipeline``: "parallel" lets tracking and stereo run ahead of
+    mapping, "sequential" does not; the result is the same. ``cache``: the disk cache of depth maps and sky masks.
     """
 
     system: str = ""
     seed: int = 0
     output: str | None = None
     rerun: bool = False
+    resume: bool = True
+    checkpoint_s: float = 30.0
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
     plugins: list[str] = field(default_factory=list)
     pipeline: str = "parallel"
     cache: CacheConfig = field(default_factory=CacheConfig)
@@ -84,6 +100,11 @@ class RunConfig:
     def cache(self) -> CacheConfig:
         """The disk cache of depth maps and sky masks."""
         return CacheConfig.from_mapping(self.values["cache"])
+
+    @property
+    def limits(self) -> LimitsConfig:
+        """Where the run ends itself."""
+        return LimitsConfig(**self.values["limits"])
 
     @property
     def output(self) -> Path:
@@ -172,6 +193,9 @@ def _check_root(values: Mapping[str, Any]) -> None:
             )
     if values["seed"] < 0:
         raise BenchError(f"seed={values['seed']} is negative; choose 0 or more.")
+    if not values["checkpoint_s"] >= 0:
+        raise BenchError(f"checkpoint_s={values['checkpoint_s']} must be 0 or more seconds, or inf for no checkpoints.")
+    LimitsConfig(**values["limits"])
 
 
 def plugin_config_from(kind: str, mapping: Mapping[str, Any]) -> PluginConfig:

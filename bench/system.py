@@ -7,42 +7,49 @@ in a thread of its own (``pipeline=parallel``) without changing a single bit of 
 
 from __future__ import annotations
 
+import json
 import logging
 import signal
-import time
-from collections.abc import Callable, Generator, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from bench import registry
-from bench.cache import cached_depth_source, cached_segmenter, cost_of
+from bench.cache import cached_depth_source, cached_segmenter
 from bench.config import RunConfig
 from bench.contracts.dataset import Dataset
 from bench.contracts.keyframer import Keyframer
 from bench.contracts.mapper import Mapper
-from bench.contracts.rasterizer import PinholeView
 from bench.contracts.sky import SkySegmenter
 from bench.contracts.stereo import DepthSource
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
-from bench.evaluation.frame_states import stretches
 from bench.evaluation.protocol import Protocol
-from bench.prefetch import in_background, prefetch
-from bench.runs.atomic import atomic_path
-from bench.runs.folder import MAP_FILE, PROVENANCE_FILE, RESOURCES_FILE, RunFolder
+from bench.front_end import Seen, front_end
+from bench.outputs import Done, save_outputs, save_views
+from bench.prefetch import in_background
+from bench.registry import KINDS, SEVERAL_AT_ONCE
+from bench.runs.checkpoint import Checkpoints, Snapshot
+from bench.runs.fingerprint import fingerprint
+from bench.runs.folder import PROVENANCE_FILE, RunFolder
 from bench.runs.memory import PeakMemory
+from bench.runs.memory_limit import MemoryLimit
 from bench.runs.provenance import collect_provenance
-from bench.types import Keyframe, RenderedView, StereoFrame, TrackingResult, Trajectory
+from bench.types import Keyframe
 
 log = logging.getLogger(__name__)
 
 # How far the front end may be ahead of the mapper in pipeline=parallel.
 FRAMES_AHEAD = 3
+
+# What the front end must say again, to the bit, when a run is gone on with.
+_REPEATED = ("number", "state", "inliers", "reprojection_px", "heldout", "is_keyframe", "keyframe_reason")
+_END = object()
 
 # Called as each frame is done: frames done, frames in all, PSNR of the newest keyframe in dB (NaN before the first).
 Progress = Callable[[int, int, float], None]
@@ -85,157 +92,190 @@ class System:
         return {f"{kind}.{what}": path for kind, part in parts.items() for what, path in part.weights().items()}
 
 
-@dataclass
-class _Progress:
-    """What a run has done so far; saved also when it ends early."""
-
-    rows: list[dict[str, Any]] = field(default_factory=list)
-    seconds: dict[str, float] = field(default_factory=lambda: {"tracking": 0.0, "stereo": 0.0, "mapping": 0.0})
-    psnr_db: float = float("nan")
-    started: float = field(default_factory=time.perf_counter)
-    wall_s: float | None = None  # of the whole SLAM, before rendering for the evaluation
-
-    def lost_stretches(self) -> list[list[int]]:
-        """[first, last] number of every stretch of frames without a pose."""
-        lost = np.array([row["state"] == "lost" for row in self.rows], dtype=bool)
-        return stretches([row["number"] for row in self.rows], lost)
-
-    @contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
-        """Add the wall-clock time of the block to a stage."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[stage] += time.perf_counter() - start
-
-
 def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder:
     """Run the configured system and save the run; returns its folder.
 
-    Raises ``BenchError`` before anything is written for bad input that can be known beforehand. What goes wrong later
-    is recorded in ``status.json`` (failed, out_of_memory, interrupted), what was done is saved, and the error goes on.
+    A run that was stopped or killed goes on from its last checkpoint (``resume``), if nothing that its result depends
+    on has changed since. Raises ``BenchError`` before anything is written for bad input that can be known beforehand.
+    What goes wrong later is recorded in ``status.json`` (failed, out_of_memory, interrupted), what was done is saved,
+    and the error goes on.
     """
-    torch.manual_seed(config.values["seed"])
+    values = config.values
     system = System.build(config)
-    folder = RunFolder.create(config.output, config.values, config.hash, rerun=config.values["rerun"])
+    going_on = values["resume"] and not values["rerun"]
+    folder = RunFolder.create(config.output, values, config.hash, rerun=values["rerun"], keep_log=going_on)
     if folder.already_done:
         return folder
-    total, done = len(system.dataset), _Progress()
-    memory = PeakMemory()
+    checkpoints = Checkpoints(folder.path, _fingerprint(config, system), values["checkpoint_s"])
+    if not going_on:
+        checkpoints.remove()
+    run = _Run(config, system, folder, checkpoints, MemoryLimit(config.limits.memory_gb), progress)
     with folder.attach_log(), _terminate_as_interrupt():
-        folder.set_status("running", frames_total=total)
+        folder.set_status("running", frames_total=run.total, stage="mapping")
         try:
-            folder.write_json(
-                PROVENANCE_FILE, collect_provenance(config.values, config.values["seed"], system.weights())
-            )
-            _run_frames(system, done, config.values["pipeline"] == "parallel", progress)
-            with done.timed("mapping"):
-                system.mapper.update_poses(system.tracker.trajectory())
-                system.mapper.finish()
-            done.wall_s = time.perf_counter() - done.started
-            _save_views(system, folder)
-            _save(system, folder, done, memory)
-            folder.set_status("done", frames_done=len(done.rows), frames_total=total, lost=done.lost_stretches())
+            with run.limit.watching():
+                run.make()
         except BaseException as error:
             state, reason = _how_it_ended(error)
             log.exception("The run ended early: %s", reason)
             try:
-                _save(system, folder, done, memory)
+                save_outputs(run.system, folder, run.done, run.memory)
             except Exception:
                 # What ended the run is what the user must hear of; that it broke the saving too is in the log.
                 log.exception("What was done could not all be saved")
             finally:
-                folder.set_status(state, reason, len(done.rows), total, done.lost_stretches())
+                folder.set_status(state, reason, len(run.done.rows), run.total, run.done.lost_stretches())
             raise
+        folder.set_status(
+            "done", frames_done=len(run.done.rows), frames_total=run.total, lost=run.done.lost_stretches()
+        )
+    checkpoints.remove()
     return folder
 
 
-@dataclass(frozen=True)
-class _FrontEnd:
-    """What the front end says about one frame; ``keyframe`` and the poses of that moment for a keyframe only."""
-
-    row: dict[str, Any]
-    keyframe: Keyframe | None = None
-    window: tuple[int, ...] = ()
-    trajectory: Trajectory | None = None
+def _fingerprint(config: RunConfig, system: System) -> str:
+    """What a checkpoint of this run must have been made with."""
+    used = [(kind, config.plugin(kind).name) for kind in KINDS if kind not in SEVERAL_AT_ONCE]
+    used += [("loss", loss.name) for loss in config.several("loss")]
+    return fingerprint(config.hash, [registry.lookup(kind, name).cls for kind, name in used], system.weights())
 
 
-def _run_frames(system: System, done: _Progress, parallel: bool, progress: Progress | None) -> None:
-    frames = _front_end(system)
-    # Closed at once when mapping fails: the front end must not go on while what was done is being saved.
-    with closing(in_background(frames, FRAMES_AHEAD, "bgs-front-end") if parallel else frames) as stream:
-        for seen in stream:
-            row = seen.row
-            done.seconds["tracking"] += row["tracking_s"]
-            done.seconds["stereo"] += row["stereo_s"]
-            mapping_before = done.seconds["mapping"]
-            if seen.keyframe is not None:
-                row |= _map_keyframe(system, done, seen)
-            row["mapping_s"] = done.seconds["mapping"] - mapping_before
-            done.rows.append(row)
-            if progress is not None:
-                progress(len(done.rows), len(system.dataset), done.psnr_db)
+class ReplayDiffersError(Exception):
+    """The front end says something else of a frame than it did before the break."""
 
 
-def _front_end(system: System) -> Generator[_FrontEnd, None, None]:
-    """Tracking, keyframing, stereo and sky of every frame, in order."""
-    camera = system.dataset.camera
-    for position, frame in prefetch(system.dataset):
-        start = time.perf_counter()
-        tracking = _checked(system.tracker.track(frame), frame, system.tracker)
-        row: dict[str, Any] = {
-            "number": frame.number,
-            "timestamp": frame.timestamp,
-            "state": tracking.state,
-            "inliers": tracking.inliers,
-            "reprojection_px": tracking.reprojection_px,
-            "is_keyframe": False,
-            "mapped": False,
-            "heldout": system.protocol.is_held_out(frame.number),
-            "tracking_s": time.perf_counter() - start,
-            "stereo_s": 0.0,
-            "stereo_cached": False,
-        }
-        if tracking.state == "lost":
-            log.warning("frame %d: tracking is lost", frame.number)
-        if tracking.state == "lost" or row["heldout"]:
-            yield _FrontEnd(row)
-            continue
-        decision = system.keyframer.update(frame, tracking)
-        row["keyframe_reason"] = decision.reason
-        row["is_keyframe"] = decision.is_keyframe
-        if not (decision.is_keyframe and system.mapper.wants_keyframes):
-            yield _FrontEnd(row)
-            continue
-        start = time.perf_counter()
-        depth = system.stereo.depth(frame, position, camera)
-        depth_cost = cost_of(system.stereo, time.perf_counter() - start)
-        start = time.perf_counter()
-        sky = system.sky.segment(frame.left, depth, camera)
-        sky_cost = cost_of(system.sky, time.perf_counter() - start)
-        row["stereo_s"] = depth_cost.seconds + sky_cost.seconds
-        row["stereo_cached"] = depth_cost.cached or sky_cost.cached
-        trajectory = system.tracker.trajectory()
-        pose = trajectory.pose_of(frame.number)
-        assert pose is not None
-        yield _FrontEnd(row, Keyframe(frame, depth, sky, pose), decision.window, trajectory)
+@dataclass
+class _Run:
+    """A run under way: its parts, its folder, and what it has done so far."""
 
+    config: RunConfig
+    system: System
+    folder: RunFolder
+    checkpoints: Checkpoints
+    limit: MemoryLimit
+    progress: Progress | None
+    done: Done = field(default_factory=Done)
+    memory: PeakMemory = field(default_factory=PeakMemory)
 
-def _checked(tracking: TrackingResult, frame: StereoFrame, tracker: Tracker) -> TrackingResult:
-    """The tracker's answer, if it is one; raises ``BenchError`` that says what was wrong with it."""
-    pose = tracking.T_world_cam
-    lost = tracking.state == "lost"
-    if lost != (pose is None) or (pose is not None and (np.shape(pose) != (4, 4) or not np.isfinite(pose).all())):
-        got = "None" if pose is None else f"shape {np.shape(pose)}" + ("" if np.isfinite(pose).all() else " with NaN")
-        raise BenchError(
-            f"{type(tracker).__name__}.track returned state '{tracking.state}' with a pose of {got} for frame "
-            f"{frame.number}; expected a finite 4x4 pose, or None with state 'lost'."
+    @property
+    def total(self) -> int:
+        return len(self.system.dataset)
+
+    def make(self) -> None:
+        """Map all frames, from the checkpoint on if there is one, and save everything."""
+        snapshot = self.checkpoints.load()
+        try:
+            self._map_frames(snapshot)
+        except ReplayDiffersError as error:
+            log.warning("%s; the run begins anew. Is a plugin not deterministic?", error)
+            self.checkpoints.remove()
+            self.system, self.done = System.build(self.config), Done()
+            self._map_frames(None)
+        self._optimise_at_the_end()
+        self.done.wall_s = self.done.elapsed_s()
+        self._tell("rendering", now=True)
+        save_views(self.system, self.folder)
+        save_outputs(self.system, self.folder, self.done, self.memory)
+
+    def _map_frames(self, snapshot: Snapshot | None) -> None:
+        values = self.config.values
+        torch.manual_seed(values["seed"])
+        provenance = collect_provenance(values, values["seed"], self.system.weights())
+        frames = front_end(self.system)
+        # Closed at once when mapping fails: the front end must not go on while what was done is being saved.
+        parallel = values["pipeline"] == "parallel"
+        with closing(in_background(frames, FRAMES_AHEAD, "bgs-front-end") if parallel else frames) as stream:
+            if snapshot is not None:
+                self._go_on_from(snapshot, stream)
+            resumed = {"resumed_after_frames": self.done.resumed_after()}
+            self.folder.write_json(PROVENANCE_FILE, provenance | (resumed if snapshot is not None else {}))
+            for seen in stream:
+                self._take(seen)
+                self._after_a_step("mapping")
+                if self.progress is not None:
+                    self.progress(len(self.done.rows), self.total, self.done.psnr_db)
+
+    def _take(self, seen: Seen) -> None:
+        """Map a frame, if it is a keyframe, and note what became of it."""
+        row, done = seen.row, self.done
+        done.seconds["tracking"] += row["tracking_s"]
+        done.seconds["stereo"] += row["stereo_s"]
+        mapping_before = done.seconds["mapping"]
+        if seen.keyframe is not None:
+            row |= _map_keyframe(self.system, done, seen)
+        row["mapping_s"] = done.seconds["mapping"] - mapping_before
+        done.rows.append(row)
+
+    def _optimise_at_the_end(self) -> None:
+        with self.done.timed("mapping"):
+            self.system.mapper.update_poses(self.system.tracker.trajectory())
+        steps = self.system.mapper.final_steps()
+        while True:
+            with self.done.timed("mapping"):
+                ended = next(steps, _END) is _END
+            if ended:
+                return
+            self._after_a_step("last optimisation")
+
+    def _go_on_from(self, snapshot: Snapshot, stream: Iterator[Seen]) -> None:
+        """Let the front end repeat the frames of the checkpoint, and give the mapper its state and its keyframes."""
+        frames = len(snapshot.rows)
+        log.info("going on from the checkpoint after frame %d of %d", frames, self.total)
+        keyframes = self._repeated(snapshot.rows, stream)
+        self.system.mapper.restore(snapshot.mapper, keyframes)
+        deque(keyframes, maxlen=0)  # those that the mapper had no use for: the front end must get past them
+        torch.set_rng_state(snapshot.random)
+        self.done.go_on_from(snapshot)
+
+    def _repeated(self, rows: list[dict[str, Any]], stream: Iterator[Seen]) -> Iterator[Keyframe]:
+        """The keyframes of the frames in ``rows``; raises ``ReplayDiffersError`` where the front end says otherwise."""
+        for count, row in enumerate(rows, 1):
+            seen = next(stream, None)
+            now = None if seen is None else {key: seen.row.get(key) for key in _REPEATED}
+            if not _same(now, {key: row.get(key) for key in _REPEATED}):
+                raise ReplayDiffersError(f"tracking frame {row['number']} again gives another result than before")
+            self.limit.check()
+            if self.progress is not None:
+                self.progress(count, self.total, float("nan"))
+            if seen is not None and seen.keyframe is not None:
+                yield seen.keyframe
+
+    def _after_a_step(self, stage: str) -> None:
+        """What is due between two steps of mapping."""
+        self.limit.check()
+        self._tell(stage)
+        self.checkpoints.if_due(self._snapshot)
+
+    def _tell(self, stage: str, now: bool = False) -> None:
+        if now:
+            self.folder.set_status("running", "", len(self.done.rows), self.total, stage=stage)
+        else:
+            self.folder.tell_progress(len(self.done.rows), self.total, stage)
+
+    def _snapshot(self) -> Snapshot | None:
+        state = self.system.mapper.state()
+        if state is None:
+            return None
+        done = self.done
+        return Snapshot(
+            rows=done.rows,
+            mapper=state,
+            seconds=done.seconds,
+            elapsed_s=done.elapsed_s(),
+            psnr_db=done.psnr_db,
+            peak_memory_gb=done.peak_memory_gb(self.memory),
+            random=torch.get_rng_state(),
+            resumed_after=done.resumed_after(),
         )
-    return tracking
 
 
-def _map_keyframe(system: System, done: _Progress, seen: _FrontEnd) -> dict[str, Any]:
+def _same(one: object, other: object) -> bool:
+    """Whether two rows are equal to the bit; NaN equals NaN, and numpy's numbers equal Python's."""
+    first, second = (json.dumps(row, default=lambda number: number.item()) for row in (one, other))
+    return first == second
+
+
+def _map_keyframe(system: System, done: Done, seen: Seen) -> dict[str, Any]:
     """Let the mapper learn from a keyframe; returns its cells of ``frames.csv``."""
     assert seen.keyframe is not None
     assert seen.trajectory is not None
@@ -253,60 +293,6 @@ def _map_keyframe(system: System, done: _Progress, seen: _FrontEnd) -> dict[str,
         "psnr_while_mapping": report.psnr_db,
         "gaussians": report.gaussians,
     }
-
-
-def _save_views(system: System, folder: RunFolder) -> None:
-    """Render every tracked frame from its final pose, left and (if the protocol asks) right, and save it."""
-    if not system.mapper.wants_keyframes:
-        return
-    camera = system.dataset.camera
-    trajectory = system.tracker.trajectory()
-    for number, T_world_cam in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
-        left = system.mapper.render(PinholeView.of(camera, T_world_cam))
-        folder.write_view("left", number, left, _depth_to_save(left, system.protocol))
-        if system.protocol.right_view:
-            right = system.mapper.render(PinholeView.of(camera, T_world_cam @ camera.T_left_right))
-            folder.write_view("right", number, right, _depth_to_save(right, system.protocol))
-
-
-def _depth_to_save(view: RenderedView, protocol: Protocol) -> np.ndarray:
-    if protocol.rendered_depth == "raw":
-        return view.depth
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(view.alpha > 1e-3, view.depth / view.alpha, np.nan).astype(np.float32)
-
-
-def _save(system: System, folder: RunFolder, done: _Progress, memory: PeakMemory) -> None:
-    """Everything but the renders; what there is of it, when the run ended early."""
-    frames = max(len(done.rows), 1)
-    folder.write_frames(done.rows)
-    folder.write_trajectory(_trajectory_so_far(system.tracker, done), _ground_truth_so_far(system.dataset, done))
-    if system.mapper.gaussians:
-        with atomic_path(folder.path / MAP_FILE) as temporary:
-            system.mapper.save(temporary)
-    per_frame = {f"{stage}_s_per_frame": seconds / frames for stage, seconds in done.seconds.items()}
-    folder.write_json(
-        RESOURCES_FILE,
-        {"peak_memory_gb": memory.peak_gb(), "gaussians": system.mapper.gaussians, "frames": len(done.rows)}
-        | {"stereo_cached_frames": sum(row["stereo_cached"] for row in done.rows)}
-        | per_frame
-        | {"wall_s_per_frame": None if done.wall_s is None else done.wall_s / frames},
-    )
-
-
-def _trajectory_so_far(tracker: Tracker, done: _Progress) -> Trajectory:
-    """The poses of the frames that are done; the front end of an interrupted run may have been ahead of them."""
-    trajectory = tracker.trajectory()
-    keep = np.isin(trajectory.numbers, [row["number"] for row in done.rows])
-    return Trajectory(trajectory.T_world_cam[keep], trajectory.numbers[keep], trajectory.timestamps[keep])
-
-
-def _ground_truth_so_far(dataset: Dataset, done: _Progress) -> Trajectory | None:
-    truth = dataset.ground_truth()
-    if truth is None:
-        return None
-    n = len(done.rows)
-    return Trajectory(truth.T_world_cam[:n], truth.numbers[:n], truth.timestamps[:n])
 
 
 # How torch's and OpenCV's own errors on the CPU speak of it.

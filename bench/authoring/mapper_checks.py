@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import pickle
 import tempfile
 import time
 from dataclasses import dataclass, replace
@@ -10,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from plyfile import PlyData
 
 from bench import registry
@@ -72,8 +75,11 @@ class Subject:
         mapper.start(self.dataset.camera, self.candidate.other("rasterizer"), losses, _SEED)
         return mapper
 
-    def map(self, keyframes: list[Keyframe]) -> Mapped:
-        """Learn from the keyframes in the order of calls of a run."""
+    def map(self, keyframes: list[Keyframe], break_after: int | None = None) -> Mapped:
+        """Learn from the keyframes in the order of calls of a run.
+
+        With ``break_after`` a fresh instance goes on after so many keyframes, from what a checkpoint would hold.
+        """
         mapper, reports, begin = self.started(), [], time.perf_counter()
         numbers = [keyframe.frame.number for keyframe in keyframes]
         poses = np.stack([keyframe.T_world_cam for keyframe in keyframes])
@@ -81,6 +87,10 @@ class Subject:
         for k, keyframe in enumerate(keyframes, 1):
             mapper.update_poses(Trajectory(poses[:k], np.array(numbers[:k]), times[:k]))
             reports.append(mapper.add_keyframe(keyframe, numbers[:k]))
+            if k == break_after:
+                state = _through_a_file(mapper.state())
+                mapper = self.started()
+                mapper.restore(state, iter(keyframes[:k]))
         seconds = (time.perf_counter() - begin) / len(keyframes)
         newest = mapper.render(self.view(keyframes[-1].T_world_cam))
         mapper.update_poses(Trajectory(poses, np.array(numbers), times))
@@ -219,6 +229,33 @@ def _saves(subject: Subject) -> str:
     return f"PLY with {count} vertices"
 
 
+def _through_a_file(state: Any) -> Any:
+    """What a checkpoint makes of a mapper's state."""
+    file = io.BytesIO()
+    try:
+        torch.save(state, file)
+        return torch.load(io.BytesIO(file.getvalue()), weights_only=True)
+    except (pickle.UnpicklingError, pickle.PicklingError, AttributeError, TypeError) as error:
+        reason = str(error).strip().split("\n", 1)[0]
+        raise ContractBrokenError(
+            f"state() can't be kept: {reason}",
+            "tensors, numbers, text, and lists and dicts of them",
+            "torch.from_numpy(...) for arrays, float(...) for numpy's numbers",
+            "state",
+        ) from error
+
+
+def _resumes(subject: Subject) -> str | Note:
+    if subject.mapped.mapper.state() is None:
+        return Note("no state(): runs with it have no checkpoints, and begin anew after a kill")
+    again = subject.map(subject.keyframes, break_after=_KEYFRAMES - 1)
+    probes.require_same(subject.mapped.newest.color, again.newest.color, "with a break, and without", "restore")
+    poses = [keyframe.T_world_cam for keyframe in subject.keyframes]
+    ends = [each.mapper.render(subject.view(poses[0])).color for each in (subject.mapped, again)]
+    probes.require_same(ends[0], ends[1], "after finish(), with a break and without", "restore")
+    return f"a fresh instance goes on from state() after {_KEYFRAMES - 1} keyframes: the same bits"
+
+
 def _speed(subject: Subject) -> Note:
     camera = subject.dataset.camera
     return Note(f"{subject.mapped.seconds:.2f} s a keyframe at {camera.width}x{camera.height}")
@@ -234,6 +271,7 @@ def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:
         Check("honest report", _honest),
         Check("renders", _renders),
         Check("determinism", _repeats),
+        Check("resumes", _resumes),
         Check("inputs", _inputs),
         Check("saves", _saves),
         Check("speed", _speed),

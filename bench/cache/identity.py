@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib.metadata
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from bench.cache.code_version import code_version
+from bench.machine import what_computes
 from bench.registry import PluginConfig
 from bench.types import DepthMap, Image, StereoCamera, StereoFrame
 from bench.weights.checksum import sha256_of
-
-_COMPUTING_PACKAGES = ("torch", "numpy", "opencv-python-headless", "opencv-python", "onnxruntime", "onnxruntime-gpu")
 
 
 class Identity:
@@ -31,7 +28,7 @@ class Identity:
             "config": _settings(config, weights),
             "weights": {what: sha256_of(path) for what, path in weights.items()},
             "code": code_version(plugin),
-            "machine": _machine(),
+            "machine": what_computes(),
             "sequence": sequence,
         }
         self._same_for_all = json.dumps(same_for_all, sort_keys=True, default=str).encode()
@@ -63,18 +60,3 @@ def _settings(config: PluginConfig, weights: dict[str, Path]) -> dict[str, Any]:
         if setting.metadata.get("path") and str(getattr(config, setting.name) or "") in known
     }
     return {name: value for name, value in dataclasses.asdict(config).items() if name not in by_content}
-
-
-def _machine() -> dict[str, Any]:
-    """What can change the last bits of a network's answer: versions of what computes, GPU, vector instructions."""
-    versions = {}
-    for package in _COMPUTING_PACKAGES:
-        try:
-            versions[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return {
-        "packages": versions,
-        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
-        "cpu": torch.backends.cpu.get_cpu_capability(),
-    }

@@ -19,6 +19,7 @@ from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.folder import LOG_FILE
+from bench.runs.lock import only_one
 from bench.runs.status import read_status
 from bench.sweeps.experiment import EXPERIMENT, expand_experiment
 from bench.system import run_system
@@ -74,6 +75,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run_one(config: RunConfig, console: Console) -> Path:
+    """Run and score, unless that is done; while another process makes the same run, wait for it."""
+
+    def wait(who: str) -> None:
+        text = f"{who} makes this run already ({config.output}); waiting for it"
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    with only_one(config.output, wait):
+        return _run_alone(config, console)
+
+
+def _run_alone(config: RunConfig, console: Console) -> Path:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -106,6 +118,8 @@ def _run_one(config: RunConfig, console: Console) -> Path:
 
 class RunFailedError(BenchError):
     """A run broke for another reason than wrong input; the run folder's log has the traceback."""
+
+    exit_code = 1
 
 
 def _failure(error: Exception, folder: Path) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from bench.contracts.loss import LossTerm
 from bench.contracts.rasterizer import PinholeView, Rasterizer
@@ -36,6 +37,30 @@ class Mapper(ABC):
     @abstractmethod
     def finish(self) -> None:
         """Called once after the last keyframe, before the map is rendered and saved."""
+
+    def final_steps(self) -> Iterator[None]:
+        """``finish`` in pieces: whenever it yields, ``state`` is whole, so that a long end can have checkpoints too.
+
+        A mapper whose ``finish`` takes long writes this one, and lets ``finish`` go through it.
+        """
+        self.finish()
+        yield
+
+    def state(self) -> dict[str, Any] | None:
+        """All that learning goes on from, for a checkpoint: CPU tensors, numbers, text, and lists and dicts of them.
+
+        Asked for between keyframes and between ``final_steps``. None (the default): runs with this mapper have no
+        checkpoints, and begin anew after a kill. The keyframes' images and depth need not be in it.
+        """
+        return None
+
+    def restore(self, state: dict[str, Any], keyframes: Iterable[Keyframe]) -> None:
+        """Go on from what ``state`` gave: what follows must be the same to the bit as without the break.
+
+        Called after ``start``. ``keyframes`` are those that ``add_keyframe`` was given until then, in order, each with
+        the pose that it had when it came; they are made anew one by one as they are asked for.
+        """
+        raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to go on from it")
 
     @abstractmethod
     def render(self, view: PinholeView) -> RenderedView:

@@ -49,6 +49,16 @@ class KeyframeAnchors:
         kept = torch.cat([mask.new_zeros(1, dtype=torch.int64), mask.cumsum(0)])
         self._ends = kept[torch.from_numpy(self._ends).to(mask.device)].cpu().numpy()
 
+    def state(self) -> dict[str, Tensor]:
+        """Numbers (K,), poses (K, 4, 4) and ends (K + 1,)."""
+        arrays = {"numbers": self._numbers, "T_world_cam": self._T_world_cam, "ends": self._ends}
+        return {name: torch.from_numpy(array) for name, array in arrays.items()}
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Go on from what ``state`` gave."""
+        self._numbers, self._ends = state["numbers"].numpy(), state["ends"].numpy()
+        self._T_world_cam = state["T_world_cam"].numpy()
+
     def follow(self, trajectory: Trajectory, planes: Tensor, optimizer: MapOptimizer) -> MapMotion:
         """Move Gaussians of ``planes`` (14, N), in place, to where the trajectory has their keyframes now.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -53,6 +54,16 @@ class MapOptimizer:
     def keep(self, mask: Tensor) -> None:
         """Drop the moments of the Gaussians that are not in the (N,) bool mask."""
         self._first, self._second = self._first[:, mask].contiguous(), self._second[:, mask].contiguous()
+
+    def state(self) -> dict[str, Any]:
+        """Both moments (14, N) on the CPU and the number of steps."""
+        return {"first": self._first.cpu(), "second": self._second.cpu(), "step": self._step}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what ``state`` gave."""
+        device = self._first.device
+        self._first, self._second = state["first"].to(device), state["second"].to(device)
+        self._step = state["step"]
 
     def rotate(self, planes: slice, which: slice, matrix: Tensor) -> None:
         """The K parameters ``planes`` of the Gaussians ``which`` have been multiplied by an orthogonal (K, K) matrix.

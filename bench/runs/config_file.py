@@ -17,7 +17,7 @@ from bench.runs.config_text import parse_config
 CONFIG_FILE = "config.yaml"
 _HASH_LINE = "# bgs-bench run, config hash "
 _MISSING = object()
-NO_PART_OF_THE_RUN = ("output", "rerun", "plugins", "pipeline", "cache")
+NO_PART_OF_THE_RUN = ("output", "rerun", "resume", "checkpoint_s", "limits", "plugins", "pipeline", "cache")
 """Settings that can't change a result: where a run lies and how it was started."""
 
 

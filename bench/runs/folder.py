@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import re
+import sys
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -60,6 +63,7 @@ _RUN_FILES = (
 _PICTURE = re.compile(r"\d{6,}\.png")
 # Depth PNGs hold metres * 256 as uint16, like KITTI's own depth maps; 0 = no depth.
 DEPTH_SCALE = 256.0
+_TELL_S = 1.0
 
 
 def picture_path(folder: Path, view: View, what: Literal["color", "depth"], number: int) -> Path:
@@ -80,6 +84,20 @@ def depth_to_16bit(depth: Map) -> npt.NDArray[np.uint16]:
     return np.asarray(cv2.addWeighted(known, DEPTH_SCALE, known, 0.0, 0.0, dtype=cv2.CV_16U), dtype=np.uint16)
 
 
+class _LogFile(logging.FileHandler):
+    """A log that a full disk does not make noisy: what ended the run is told by its status and its exit."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Leave out a line that can't be written; any other error is a mistake of ours, and is shown."""
+        if not isinstance(sys.exc_info()[1], OSError):
+            super().handleError(record)
+
+    def close(self) -> None:
+        """Close it; what a full disk did not take is lost."""
+        with suppress(OSError):
+            super().close()
+
+
 class RunFolder:
     """Writes one run's files, each whole or not at all. Made by ``RunFolder.create``.
 
@@ -90,16 +108,19 @@ class RunFolder:
         self.path = path
         self.already_done = already_done
         self._started = ""
+        self._told = -math.inf
         # The depth map is compressed beside the colour image: on two cores this nearly halves the time a view.
         self._second_writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="depth-png")
 
     @classmethod
-    def create(cls, path: Path, config: dict[str, Any], config_hash: str, rerun: bool) -> RunFolder:
+    def create(
+        cls, path: Path, config: dict[str, Any], config_hash: str, rerun: bool, keep_log: bool = False
+    ) -> RunFolder:
         """Make or open the folder and write ``config.yaml``; older outputs of the same config are removed.
 
-        A finished run of the same config is left as it is (``already_done``) unless ``rerun``. Raises ``BenchError``
-        when the path is a file, can't be written, holds something else or a run of another config, or is being
-        written by a live process.
+        A finished run of the same config is left as it is (``already_done``) unless ``rerun``; ``keep_log`` keeps the
+        log of one that will go on. Raises ``BenchError`` when the path is a file, can't be written, holds something
+        else or a run of another config, or is being written by a live process.
         """
         if path.exists() and not path.is_dir():
             raise BenchError(f"output={path} is a file. Name a folder that is empty or not there yet.")
@@ -109,7 +130,7 @@ class RunFolder:
                 _require_same_config(path, known, config, config_hash)
                 if _is_done(path) and not rerun:
                     return cls(path, already_done=True)
-                _remove_old_outputs(path)
+                _remove_old_outputs(path, keep={LOG_FILE} if keep_log else set())
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -126,14 +147,22 @@ class RunFolder:
         frames_done: int = 0,
         frames_total: int = 0,
         lost: Sequence[Sequence[int]] = (),
+        stage: str = "",
     ) -> None:
         """Write ``status.json``; ``state`` is running, done, failed, out_of_memory or interrupted.
 
-        ``lost`` holds [first, last] frame number of every stretch without a pose.
+        ``lost`` holds [first, last] frame number of every stretch without a pose; ``stage`` says what a running run is
+        about.
         """
-        status = current_status(state, reason, frames_done, frames_total, lost, self._started)
+        status = current_status(state, reason, frames_done, frames_total, lost, self._started, stage)
         self._started = status.started
+        self._told = time.monotonic()
         write_status(self.path, status)
+
+    def tell_progress(self, frames_done: int, frames_total: int, stage: str) -> None:
+        """Keep ``status.json`` of a running run current, for those who watch it: about once a second."""
+        if time.monotonic() - self._told > _TELL_S:
+            self.set_status("running", "", frames_done, frames_total, stage=stage)
 
     def write_view(self, view: View, number: int, view_data: RenderedView, depth: Map) -> None:
         """Save a render of frame ``number``: the colour of ``view_data``, and ``depth`` (H, W) in metres.
@@ -172,7 +201,7 @@ class RunFolder:
     @contextmanager
     def attach_log(self) -> Iterator[None]:
         """Send what the project logs (INFO and up), and other packages' warnings, to ``log.txt`` meanwhile."""
-        handler = logging.FileHandler(self.path / LOG_FILE, encoding="utf-8")
+        handler = _LogFile(self.path / LOG_FILE, encoding="utf-8")
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
         own = [logging.getLogger(name) for name in ("bench", "plugins")]
         levels = [logger.level for logger in own]
@@ -219,10 +248,11 @@ def _is_done(path: Path) -> bool:
     return status is not None and status.state == "done"
 
 
-def _remove_old_outputs(path: Path) -> None:
-    """Remove the files that a run writes, and nothing else that may lie in the folder."""
+def _remove_old_outputs(path: Path, keep: set[str]) -> None:
+    """Remove the files that a run writes but those in ``keep``, and nothing else that may lie in the folder."""
     for name in _RUN_FILES:
-        (path / name).unlink(missing_ok=True)
+        if name not in keep:
+            (path / name).unlink(missing_ok=True)
     for view in VIEWS:
         for what in ("color", "depth"):
             pictures = path / "views" / view / what

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import socket
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -17,6 +18,8 @@ from bench.runs.atomic import write_json
 RunState = Literal["running", "done", "failed", "out_of_memory", "interrupted"]
 STATES: tuple[str, ...] = get_args(RunState)
 STATUS_FILE = "status.json"
+# What file systems give to the smallest file.
+_BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,7 @@ class RunStatus:
 
     ``process_started`` (clock ticks since boot, from ``/proc``) tells the process of this run from a later one that was
     given the same number. ``lost_stretches`` holds [first, last] frame number of every stretch without a pose.
+    ``stage`` says what a running run is about: "mapping", "last optimisation", "rendering".
     """
 
     state: str
@@ -32,6 +36,7 @@ class RunStatus:
     frames_done: int = 0
     frames_total: int = 0
     lost_stretches: Sequence[Sequence[int]] = ()
+    stage: str = ""
     pid: int = 0
     started: str = ""
     updated: str = ""
@@ -59,7 +64,13 @@ class RunStatus:
 
 
 def current_status(
-    state: str, reason: str, frames_done: int, frames_total: int, lost: Sequence[Sequence[int]], started: str
+    state: str,
+    reason: str,
+    frames_done: int,
+    frames_total: int,
+    lost: Sequence[Sequence[int]],
+    started: str,
+    stage: str = "",
 ) -> RunStatus:
     """The status of this process now; ``started`` is "" on the first call. ``BenchError`` for an unknown state."""
     require_choice("state", state, STATES)
@@ -70,6 +81,7 @@ def current_status(
         frames_done=frames_done,
         frames_total=frames_total,
         lost_stretches=lost,
+        stage=stage,
         pid=os.getpid(),
         started=started or now,
         updated=now,
@@ -79,8 +91,31 @@ def current_status(
 
 
 def write_status(folder: Path, status: RunStatus) -> None:
-    """Write ``status.json`` of a run folder atomically."""
-    write_json(folder / STATUS_FILE, asdict(status))
+    """Write ``status.json`` of a run folder atomically; on a full disk over the old one, in the space that it has.
+
+    Raises ``BenchError`` where neither can be done.
+    """
+    try:
+        write_json(folder / STATUS_FILE, asdict(status))
+    except BenchError as error:
+        full = isinstance(error.__cause__, OSError) and error.__cause__.errno in (errno.ENOSPC, errno.EDQUOT)
+        if not full or not (folder / STATUS_FILE).is_file():
+            raise
+        _overwrite(folder / STATUS_FILE, status)
+
+
+def _overwrite(path: Path, status: RunStatus) -> None:
+    """Write into the existing file, whose first block is there: not atomic, and short of words, but not lost."""
+    room = max(path.stat().st_size, _BLOCK)
+    content = json.dumps(asdict(status))
+    if len(content) > room:
+        content = json.dumps(asdict(replace(status, lost_stretches=(), reason=status.reason[:1000])))
+    try:
+        with open(path, "r+b") as file:
+            file.write(content.encode())
+            file.truncate()
+    except OSError as error:
+        raise BenchError(f"Can't write {path}: {error.strerror}. Free some space.") from error
 
 
 def read_status(folder: Path) -> RunStatus | None:

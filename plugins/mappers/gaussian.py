@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -107,6 +109,7 @@ class GaussianMapper(Mapper):
         self._anchors = KeyframeAnchors(c.follow_corrections_m, c.follow_corrections_deg)
         self._keyframes: dict[int, Keyframe] = {}
         self._targets: OrderedDict[int, tuple[Target, Target]] = OrderedDict()
+        self._final_done = 0
 
     @property
     def gaussians(self) -> int:
@@ -114,9 +117,7 @@ class GaussianMapper(Mapper):
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
         number = keyframe.frame.number
-        # Replay needs the left image and the depth only; the right images of a long sequence would fill the memory.
-        left_only = replace(keyframe.frame, right=np.empty_like(keyframe.frame.right[:0]))
-        self._keyframes[number] = replace(keyframe, frame=left_only)
+        self._keyframes[number] = _without_right(keyframe)
         self._let_go(window)
         self._seed(keyframe)
         coarse = round(self.config.iterations * self.config.coarse_share)
@@ -140,12 +141,42 @@ class GaussianMapper(Mapper):
         )
 
     def finish(self) -> None:
+        for _ in self.final_steps():
+            pass
+
+    def final_steps(self) -> Iterator[None]:
         if not self._keyframes:
             return
         numbers = list(self._keyframes)
-        for _ in range(self.config.final_iterations * len(numbers)):
+        while self._final_done < self.config.final_iterations * len(numbers):
             self._iterate(int(self._random.choice(numbers)), half=False)
+            self._final_done += 1
+            yield
         self._prune()
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "planes": self._planes.cpu(),
+            "birth_depth": self._birth_depth.cpu(),
+            "optimizer": self._optimizer.state(),
+            "anchors": self._anchors.state(),
+            "poses": {number: torch.from_numpy(known.T_world_cam) for number, known in self._keyframes.items()},
+            "final_done": self._final_done,
+            # Numbers of 128 bits, which a restricted unpickler need not know.
+            "random": json.dumps(self._random.bit_generator.state),
+        }
+
+    def restore(self, state: dict[str, Any], keyframes: Iterable[Keyframe]) -> None:
+        for keyframe in keyframes:
+            pose = state["poses"].get(keyframe.frame.number)
+            if pose is not None:
+                self._keyframes[keyframe.frame.number] = _without_right(replace(keyframe, T_world_cam=pose.numpy()))
+        device = self._planes.device
+        self._planes, self._birth_depth = state["planes"].to(device), state["birth_depth"].to(device)
+        self._optimizer.restore(state["optimizer"])
+        self._anchors.restore(state["anchors"])
+        self._final_done = state["final_done"]
+        self._random.bit_generator.state = json.loads(state["random"])
 
     def render(self, view: PinholeView) -> RenderedView:
         rendered = self._rasterizer.render(self._planes, view, differentiable=False)
@@ -234,3 +265,8 @@ class GaussianMapper(Mapper):
         rendered = self._rasterizer.render(self._planes, self._view(number), differentiable=False)
         error = rendered.color.clamp(0.0, 1.0) - self._target(number, half=False).image
         return float(-10.0 * torch.log10((error * error).mean().clamp_min(1e-10)))
+
+
+def _without_right(keyframe: Keyframe) -> Keyframe:
+    """Replay needs the left image and the depth only; the right images of a long sequence would fill the memory."""
+    return replace(keyframe, frame=replace(keyframe.frame, right=np.empty_like(keyframe.frame.right[:0])))

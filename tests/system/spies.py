@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,9 +36,9 @@ class SpyMapper(GaussianMapper):
         self.poses.append(trajectory)
         super().update_poses(trajectory)
 
-    def finish(self) -> None:
+    def final_steps(self) -> Iterator[None]:
         type(self).finished += 1
-        super().finish()
+        yield from super().final_steps()
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ def test_state_of_a_run_that_ends_early(
     def finish(self: object) -> None:
         raise make()
 
-    monkeypatch.setattr(spies.SpyMapper, "finish", finish)
+    monkeypatch.setattr(spies.SpyMapper, "final_steps", finish)
     with pytest.raises(type(make())):
         run(tmp_path / "run", "mapper=spy_for_tests", "tracker=groundtruth", "dataset.frames=2")
     assert state_of(tmp_path / "run")[0] == state

@@ -1,0 +1,85 @@
+"""The lock of a run folder: of several processes that start the same run, one makes it and the others wait for it."""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from bench.errors import BenchError
+
+LOCK_FILE = ".lock"
+
+log = logging.getLogger(__name__)
+
+
+@contextmanager
+def only_one(folder: Path, on_wait: Callable[[str], None]) -> Iterator[None]:
+    """Hold the lock of a run folder during the block; the folder is made, and removed again if it stays empty.
+
+    While another process holds the lock, ``on_wait`` is told who, once, and this one waits; the system lets go of the
+    lock of a process that dies. On file systems without locks there is none, and the log says so. Raises ``BenchError``
+    where the folder can't be made.
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    file = _locked(folder, on_wait)
+    try:
+        yield
+    finally:
+        _remove_if_empty(folder, made)
+        os.close(file)
+
+
+def _locked(folder: Path, on_wait: Callable[[str], None]) -> int:
+    """The open lock file, locked."""
+    path = folder / LOCK_FILE
+    while True:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            if folder.exists() and not folder.is_dir():
+                raise BenchError(f"output={folder} is a file. Name a folder that is empty or not there yet.") from error
+            raise BenchError(
+                f"Can't make the run folder {folder}: {error.strerror}. Give output= a place that you may write to."
+            ) from error
+        try:
+            _acquire(file, folder, on_wait)
+            if path.exists() and path.stat().st_ino == os.fstat(file).st_ino:
+                return file
+        except BaseException:
+            os.close(file)
+            raise
+        os.close(file)  # whoever held it removed the empty folder: begin again
+
+
+def _acquire(file: int, folder: Path, on_wait: Callable[[str], None]) -> None:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        who = os.pread(file, 100, 0).decode(errors="replace").strip()
+        on_wait(f"process {who}" if who else "another process")
+        fcntl.flock(file, fcntl.LOCK_EX)
+    except OSError as error:
+        log.warning("no lock on %s (%s): don't start the same run twice", folder, error.strerror)
+        return
+    try:
+        os.ftruncate(file, 0)
+        os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+    except OSError:
+        log.debug("the lock file of %s can't be written: those who wait won't be told for whom", folder)
+
+
+def _remove_if_empty(folder: Path, made: list[Path]) -> None:
+    """Wrong input is found before anything is written: then the folder, and those above it, go as they came."""
+    if not made or {entry.name for entry in folder.iterdir()} != {LOCK_FILE}:
+        return
+    (folder / LOCK_FILE).unlink()
+    for path in made:
+        try:
+            path.rmdir()
+        except OSError:  # another process has put something there meanwhile
+            return
