@@ -75,11 +75,11 @@ def _acquire(file: int, folder: Path, on_wait: Callable[[str], None]) -> None:
 
 def _remove_if_empty(folder: Path, made: list[Path]) -> None:
     """Wrong input is found before anything is written: then the folder, and those above it, go as they came."""
-    if not made or {entry.name for entry in folder.iterdir()} != {LOCK_FILE}:
-        return
-    (folder / LOCK_FILE).unlink()
-    for path in made:
-        try:
-            path.rmdir()
-        except OSError:  # another process has put something there meanwhile
+    try:
+        if not made or {entry.name for entry in folder.iterdir()} != {LOCK_FILE}:
             return
+        (folder / LOCK_FILE).unlink()
+        for path in made:
+            path.rmdir()
+    except OSError:  # someone has deleted it, or put something there, meanwhile: then it is theirs
+        return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -36,6 +37,12 @@ def test_wrong_input_leaves_no_folder(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="wrong"), only_one(tmp_path / "a" / "b" / "run", print):
         raise BenchError("wrong")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_deleted_meanwhile_hides_no_error(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match="the real one"), only_one(tmp_path / "run", print):
+        shutil.rmtree(tmp_path / "run")
+        raise BenchError("the real one")
 
 
 def test_what_was_there_stays(tmp_path: Path) -> None:
