@@ -35,6 +35,8 @@ from bench.types import Image, Map, Trajectory
 ProgressReport = Callable[[str, int, int], None]
 """Called with what is being done, how many are done, and how many there are."""
 
+_PICTURE_COLUMNS = ("left_color", "right_color", "left_depth")
+
 Group = Literal["left", "train", "heldout", "right"]
 
 GROUPS: tuple[Group, ...] = ("left", "train", "heldout", "right")
@@ -101,10 +103,11 @@ class SavedRun:
     def frames(self) -> pd.DataFrame:
         """``frames.csv``: one row a frame that the run processed.
 
-        mapped, heldout and, where a system learns from right images, right_mapped are boolean.
+        mapped, heldout and, where a system learns from right images, right_mapped are boolean, and so are left_color,
+        right_color and left_depth of another system's output, which say what pictures it has of which frames.
         """
         table = read_csv(self.path / FRAMES_FILE, FRAME_COLUMNS)
-        for column in ("mapped", "heldout", "right_mapped"):
+        for column in ("mapped", "heldout", "right_mapped", *_PICTURE_COLUMNS):
             if column not in table:
                 continue
             # An empty cell (the run stopped there) is no.
@@ -119,27 +122,31 @@ class SavedRun:
     def numbers(self, view: View, group: Group) -> list[int]:
         """Frame numbers of a group's images that come from the camera ``view``, in order.
 
-        left: every tracked frame; train: mapped; heldout: kept out of mapping and tracked; right: every tracked frame.
+        left: every tracked frame; train: mapped; heldout: kept out of mapping and tracked; right: every tracked frame. Of
+        another system's output those are the frames of which it has pictures.
         A group has images of one camera only (``VIEW_OF_GROUP``); the list is empty for the other one.
         """
         if VIEW_OF_GROUP[group] != view:
             return []
-        wanted = self.frames["state"] != "lost"
+        wanted = self._should_have(f"{view}_color")
+        if view == "left":
+            wanted = wanted | self._should_have("left_depth")
         if group == "train":
             wanted &= self.frames["mapped"]
         elif group == "heldout":
             wanted &= self.frames["heldout"]
         return [int(number) for number in self.frames.loc[wanted, "number"]]
 
-    def rendered(self, view: View) -> list[int]:
-        """Numbers of the tracked frames of which the run saved a render.
+    def rendered(self, view: View, what: Literal["color", "depth"] = "color") -> list[int]:
+        """Numbers of the tracked frames of which the run saved a render: its colour, or its depth.
 
         Raises ``BenchError`` when a finished run saved some but lacks others; a run that stopped early may lack any.
         """
-        tracked = self.numbers(view, view)
-        there = [number for number in tracked if picture_path(self.path, view, "color", number).is_file()]
-        if there and len(there) < len(tracked) and self.status.state == "done":
-            lacking = picture_path(self.path, view, "color", min(set(tracked) - set(there)))
+        wanted = self._should_have(f"{view}_{what}")
+        expected = [int(number) for number in self.frames.loc[wanted, "number"]]
+        there = [number for number in expected if picture_path(self.path, view, what, number).is_file()]
+        if there and len(there) < len(expected) and self.status.state == "done":
+            lacking = picture_path(self.path, view, what, min(set(expected) - set(there)))
             raise BenchError(f"{lacking} is missing though the run is done. Run it again with rerun=true.")
         return there
 
@@ -169,6 +176,10 @@ class SavedRun:
         """The rows that evaluators added: view, number and their values, ordered by view and number."""
         rows = [{"view": view, "number": number} | values for (view, number), values in sorted(self._per_frame.items())]
         return pd.DataFrame(rows, columns=None if rows else ["view", "number"])
+
+    def _should_have(self, column: str) -> Any:
+        """Which rows of ``frames`` have a picture of this kind: those of tracked frames, or what the column says."""
+        return self.frames[column] if column in self.frames else self.frames["state"] != "lost"
 
     def _picture(self, path: Path, flags: int, dtype: type) -> Any:
         if not path.is_file():

@@ -40,9 +40,12 @@ def test_wrong_input_leaves_no_folder(tmp_path: Path) -> None:
 
 
 def test_a_folder_deleted_meanwhile_hides_no_error(tmp_path: Path) -> None:
-    with pytest.raises(BenchError, match="the real one"), only_one(tmp_path / "run", print):
+    def fails() -> None:
         shutil.rmtree(tmp_path / "run")
         raise BenchError("the real one")
+
+    with pytest.raises(BenchError, match="the real one"), only_one(tmp_path / "run", print):
+        fails()
 
 
 def test_what_was_there_stays(tmp_path: Path) -> None:
