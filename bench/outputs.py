@@ -105,7 +105,7 @@ def save_outputs(system: System, folder: RunFolder, done: Done, memory: PeakMemo
     folder.write_json(
         RESOURCES_FILE,
         {"peak_memory_gb": done.peak_memory_gb(memory), "gaussians": system.mapper.gaussians, "frames": len(done.rows)}
-        | {"stereo_cached_frames": sum(row["stereo_cached"] for row in done.rows)}
+        | {f"{what}_cached_frames": sum(row[f"{what}_cached"] for row in done.rows) for what in ("tracking", "stereo")}
         | per_frame
         | {"wall_s_per_frame": None if done.wall_s is None else done.wall_s / frames},
     )

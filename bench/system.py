@@ -20,7 +20,7 @@ from typing import Any
 import torch
 
 from bench import registry
-from bench.cache import cached_depth_source, cached_segmenter
+from bench.cache import cached_depth_source, cached_segmenter, cached_tracker
 from bench.config import RunConfig
 from bench.contracts.dataset import Dataset
 from bench.contracts.keyframer import Keyframer
@@ -81,6 +81,9 @@ class System:
             registry.lookup("evaluator", evaluator.name)
         parts["stereo"] = cached_depth_source(parts["stereo"], config.plugin("stereo"), dataset, config.cache)
         parts["sky"] = cached_segmenter(parts["sky"], config.plugin("sky"), dataset, config.cache)
+        parts["tracker"] = cached_tracker(
+            parts["tracker"], config.plugin("tracker"), config.values["dataset"], config.cache
+        )
         parts["tracker"].start(dataset)
         parts["stereo"].start(dataset)
         parts["mapper"].start(dataset.camera, rasterizer, losses, config.values["seed"])

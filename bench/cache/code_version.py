@@ -7,7 +7,10 @@ import hashlib
 import importlib.util
 import inspect
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
+
+import bench
 
 # Of the framework, what a depth map or a sky mask is computed with; the rest (registry, errors, ...) may change freely.
 _FRAMEWORK = ("bench.stereo", "bench.sky", "bench.contracts.stereo", "bench.contracts.sky", "bench.geometry")
@@ -38,6 +41,22 @@ def code_version(plugin: type) -> str:
     # A user's folder gives its modules another name in each process; the file of the plugin itself needs none.
     seen["plugin"] = seen.pop(plugin.__module__)
     return hashlib.sha256(repr(sorted(seen.items())).encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def project_version() -> str:
+    """Hexadecimal SHA-256 over every source file and compiled module of the packages ``bench`` and ``plugins``."""
+    root = Path(bench.__file__).parent.parent
+    digest = hashlib.sha256()
+    for package in ("bench", "plugins"):
+        for file in sorted((root / package).rglob("*")):
+            if file.suffix in (".py", ".so") and "__pycache__" not in file.parts:
+                digest.update(f"{file.relative_to(root)}\n".encode())
+                digest.update(file.read_bytes())
+    from bench import _native  # its file lies elsewhere in an editable installation
+
+    digest.update(Path(_native.__file__).read_bytes())
+    return digest.hexdigest()
 
 
 def _imports(content: bytes, module: str, is_package: bool) -> Iterator[str]:

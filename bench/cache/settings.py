@@ -1,4 +1,4 @@
-"""The settings of the disk cache: ``cache.enabled``, ``cache.folder``, ``cache.limit_gb``."""
+"""The settings of the disk cache: ``cache.enabled``, ``cache.all``, ``cache.folder``, ``cache.limit_gb``."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from bench.weights.places import cache_root
 
 @dataclass
 class CacheConfig:
-    """Where depth maps and sky masks of networks are kept for later runs; can't change a result.
+    """Where depth maps, sky masks and trajectories are kept for later runs; can't change a result.
 
-    ``enabled``: use the cache, for plugins that are worth it (networks). ``folder``: where; empty =
-    ``$BGS_CACHE/frames``, else ``frames`` in the user's cache folder. ``limit_gb``: how much it may hold, in GB of 1e9
-    bytes; what was not used for the longest time goes first.
+    ``enabled``: use the cache, for plugins that are worth it (networks). ``all``: also for what takes a few hundredths
+    of a second a frame, other stereo and tracking; sweeps switch it on, so that their runs share it. ``folder``: where;
+    empty = ``$BGS_CACHE/frames``, else ``frames`` in the user's cache folder. ``limit_gb``: how much it may hold, in GB
+    of 1e9 bytes; what was not used for the longest time goes first.
     """
 
     enabled: bool = True
+    all: bool = False
     folder: str = ""
     limit_gb: float = 20.0
 

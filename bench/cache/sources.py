@@ -6,11 +6,11 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from bench.cache.cost import Cost
 from bench.cache.entry import Stored
 from bench.cache.identity import Identity
 from bench.cache.settings import CacheConfig
@@ -25,27 +25,10 @@ from bench.types import DepthMap, Image, Mask, StereoCamera, StereoFrame
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Cost:
-    """What computing an answer took, in seconds; for one from the cache, what it took when it was computed."""
-
-    seconds: float
-    cached: bool
-
-
-def cost_of(part: DepthSource | SkySegmenter, measured_s: float) -> Cost:
-    """The cost of the last answer of ``part``, which took ``measured_s`` seconds to come.
-
-    Reading and writing the cache is left out, so that a run's times are those of its networks with or without it.
-    """
-    if isinstance(part, CachedDepthSource | CachedSkySegmenter):
-        return part.last_cost
-    return Cost(measured_s, cached=False)
-
-
 def cached_depth_source(source: DepthSource, config: PluginConfig, dataset: Dataset, cache: CacheConfig) -> DepthSource:
-    """``source`` behind the cache, or itself where that is switched off, of no use, or wrong (temporal networks)."""
-    if not cache.enabled or not source.worth_caching or source.temporal:
+    """``source`` behind the cache, or itself where that is switched off, of no use, or wrong (temporal
+    networks)."""
+    if not cache.enabled or not (source.worth_caching or cache.all) or source.temporal:
         return source
     identity = Identity("stereo", type(source), config, source.weights(), dataset.label)
     return CachedDepthSource(source, config.name, identity, _store(cache))

@@ -18,8 +18,8 @@ from bench.runs.atomic import TEMPORARY_PATTERN, atomic_path
 
 log = logging.getLogger(__name__)
 
-Kind = Literal["stereo", "sky"]
-KINDS: tuple[Kind, ...] = ("stereo", "sky")
+Kind = Literal["stereo", "sky", "tracker"]
+KINDS: tuple[Kind, ...] = ("stereo", "sky", "tracker")
 
 _SUFFIX = ".entry"
 _LOCKS = "locks"
@@ -50,6 +50,17 @@ class CacheStore:
 
     def read(self, kind: Kind, plugin: str, key: str) -> Stored | None:
         """The entry, marked as just used, or None. A damaged one counts as missing, with a line in the log."""
+        content = self.read_content(kind, plugin, key)
+        if content is None:
+            return None
+        try:
+            return decode(content)
+        except DamagedEntryError as damage:
+            log.warning("cache: %s is damaged (%s); computing it again", self._path(kind, plugin, key), damage)
+            return None
+
+    def read_content(self, kind: Kind, plugin: str, key: str) -> bytes | None:
+        """The bytes of an entry, marked as just used, or None."""
         path = self._path(kind, plugin, key)
         try:
             content = path.read_bytes()
@@ -59,22 +70,20 @@ class CacheStore:
             log.warning("cache: %s can't be read (%s); computing it again", path, error.strerror)
             return None
         try:
-            stored = decode(content)
-        except DamagedEntryError as damage:
-            log.warning("cache: %s is damaged (%s); computing it again", path, damage)
-            return None
-        try:
             os.utime(path)
         except OSError as error:  # removed by another process just now, or a cache that this user may only read
             log.debug("cache: %s can't be marked as used (%s)", path, error.strerror)
-        return stored
+        return content
 
     def write(self, kind: Kind, plugin: str, key: str, stored: Stored) -> None:
         """Put the entry there, whole or not at all; old ones go when the limit is passed. ``OSError``, ``BenchError``
         when the folder can't be written."""
+        self.write_content(kind, plugin, key, encode(stored))
+
+    def write_content(self, kind: Kind, plugin: str, key: str, content: bytes) -> None:
+        """As ``write``, for bytes of another format."""
         path = self._path(kind, plugin, key)
         path.parent.mkdir(parents=True, exist_ok=True)
-        content = encode(stored)
         with atomic_path(path) as temporary:
             temporary.write_bytes(content)
         self._unchecked += len(content)
@@ -102,7 +111,7 @@ class CacheStore:
         self._unchecked = 0.0
 
     def files(self, kind: Kind | None = None) -> Iterator[File]:
-        """Every entry there is, of one kind or of both."""
+        """Every entry there is, of one kind or of all."""
         for each in KINDS if kind is None else (kind,):
             for path in (self.folder / each).glob(f"*/*/*{_SUFFIX}"):
                 try:
@@ -112,7 +121,7 @@ class CacheStore:
                 yield File(path, state.st_size, state.st_mtime)
 
     def clear(self, kind: Kind | None = None) -> tuple[int, int]:
-        """Remove all entries, of one kind or of both, and nothing else; returns how many and how many bytes."""
+        """Remove all entries, of one kind or of all, and nothing else; returns how many and how many bytes."""
         removed, size = 0, 0
         for file in self.files(kind):
             file.path.unlink(missing_ok=True)

@@ -11,6 +11,10 @@ from bench.types import StereoFrame, TrackingResult, Trajectory
 class Tracker(ABC):
     """Estimates ``T_world_cam`` of the left camera, frame by frame."""
 
+    worth_caching: bool = False
+    """Whether its answers may be shared between runs with the same frames and settings, and cost more than reading
+    them: True for a tracker that looks at images and always says the same about them."""
+
     @abstractmethod
     def start(self, dataset: Dataset) -> None:
         """Called once before the first frame. The data set gives the camera and, to ``groundtruth``, the poses."""

@@ -28,10 +28,12 @@ class ResourcesEvaluator(Evaluator):
             note = "the run stopped before it saved its resources"
             return {"resources": dict.fromkeys(REPORTED), "notes": {"resources": note}}
         metrics: dict[str, Any] = {"resources": {name: run.resources.get(name) for name in REPORTED}}
-        cached = run.resources.get("stereo_cached_frames")
-        if cached:
+        stereo, tracking = (run.resources.get(f"{what}_cached_frames") for what in ("stereo", "tracking"))
+        parts = [f"stereo or sky of {stereo} frames"] if stereo else []
+        parts += [f"tracking of {tracking} frames"] if tracking else []
+        if parts:
             metrics["notes"] = {
-                "resources": f"stereo or sky of {cached} frames came from the cache: stereo time is that of computing "
-                "them, recorded then; wall time and peak memory are without it (cache.enabled=false measures all)"
+                "resources": f"{' and '.join(parts)} came from the cache: their time is that of computing them, "
+                "recorded then; wall time and peak memory are without it (cache.enabled=false measures all)"
             }
         return metrics

@@ -66,6 +66,8 @@ class StereoOrbConfig(PluginConfig):
 class StereoOrb(Tracker):
     """Stereo ORB odometry with local map, local bundle adjustment and loop closing; world = first camera."""
 
+    worth_caching = True
+
     def __init__(self, config: StereoOrbConfig) -> None:
         _check(config)
         if config.loop_closure:

@@ -60,7 +60,7 @@ RULES: list[tuple[str, tuple[str, ...], frozenset[str]]] = [
     ("bench/rendering", (*AFTER_MAPPING, "bench.tracking"), frozenset()),
     ("bench/geometry", (*AFTER_MAPPING, "bench.mapping"), frozenset()),
     ("bench/street", (*AFTER_MAPPING, "bench.mapping"), frozenset()),
-    ("bench", ("bench.commands",), frozenset({"bench/cli.py"})),
+    ("bench", ("bench.commands",), frozenset()),
     # A stage does not reach into the next one.
     ("plugins/datasets", ("plugins.stereo", "plugins.trackers", "plugins.mappers", *AFTER_MAPPING), frozenset()),
     ("plugins/stereo", ("plugins.trackers", "plugins.mappers", "bench.mapping", "bench.runs"), frozenset()),

@@ -118,7 +118,7 @@ def test_who_wants_no_resuming_gets_none(tmp_path: Path, monkeypatch: pytest.Mon
 def test_changed_code_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "run"
     killed_run(folder, monkeypatch, 3)
-    monkeypatch.setattr("bench.runs.fingerprint._project_code", lambda: "of another day")
+    monkeypatch.setattr("bench.runs.fingerprint.project_version", lambda: "of another day")
     run(folder)
     assert "the run begins anew" in (folder / "log.txt").read_text()
     assert "resumed_after_frames" not in json.loads((folder / "provenance.json").read_text())

@@ -1,0 +1,122 @@
+"""What a tracker said about a whole sequence, frame by frame, as one file of arrays."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import zipfile
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from bench.cache.entry import DamagedEntryError
+from bench.types import Float, StereoFrame, TrackingResult, Trajectory
+
+Said = tuple[int, str, str]
+"""A line of the log: level, logger, text."""
+
+
+def digest_of(frame: StereoFrame) -> bytes:
+    """SHA-256 of a frame's number, time and every pixel of its pair."""
+    digest = hashlib.sha256(repr((frame.number, frame.timestamp, frame.left.shape)).encode())
+    digest.update(np.ascontiguousarray(frame.left).data)
+    digest.update(np.ascontiguousarray(frame.right).data)
+    return digest.digest()
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """One frame: the tracker's answer, the seconds that it took, what went to the log meanwhile.
+
+    Of the trajectory after it, only what changed is kept: ``rows`` (K,) of poses and the ``poses`` (K, 4, 4) there now,
+    new ones included.
+    """
+
+    digest: bytes
+    result: TrackingResult
+    seconds: float
+    said: list[Said]
+    rows: npt.NDArray[np.int64]
+    poses: Float
+
+
+@dataclass
+class Recording:
+    """A sequence of tracked frames; ``numbers`` and ``timestamps`` (N,) are those of the last trajectory."""
+
+    frames: list[TrackedFrame] = field(default_factory=list)
+    numbers: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    timestamps: Float = field(default_factory=lambda: np.zeros(0))
+    _poses: Float = field(default_factory=lambda: np.zeros((0, 4, 4)))
+
+    def add(self, digest: bytes, result: TrackingResult, seconds: float, said: list[Said], after: Trajectory) -> bool:
+        """Append a frame; False (and nothing is added) where the trajectory dropped a frame that it had before."""
+        known = len(self.numbers)
+        if not np.array_equal(after.numbers[:known], self.numbers):
+            return False
+        changed = np.ones(len(after), dtype=bool)
+        changed[:known] = (after.T_world_cam[:known] != self._poses).any(axis=(1, 2))
+        rows = np.flatnonzero(changed)
+        self.frames.append(TrackedFrame(digest, result, seconds, said, rows, after.T_world_cam[rows]))
+        self.numbers, self.timestamps = after.numbers, after.timestamps
+        self._poses = after.T_world_cam.copy()
+        return True
+
+    def encode(self) -> bytes:
+        """All of it as the bytes of an ``.npz`` file."""
+        results = [frame.result for frame in self.frames]
+        nowhere = np.full((4, 4), np.nan)
+        landmarks = [np.zeros(0, np.int64) if r.landmarks is None else r.landmarks for r in results]
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "digests": np.array([np.frombuffer(frame.digest, np.uint8) for frame in self.frames]).reshape(-1, 32),
+            "states": np.array([r.state for r in results], dtype="U8"),
+            "estimates": np.array([nowhere if r.T_world_cam is None else r.T_world_cam for r in results]),
+            "inliers": np.array([r.inliers for r in results], dtype=np.int64),
+            "reprojection_px": np.array([r.reprojection_px for r in results], dtype=np.float64),
+            "without_landmarks": np.array([r.landmarks is None for r in results]),
+            "landmark_counts": np.array([len(ids) for ids in landmarks], dtype=np.int64),
+            "landmarks": np.concatenate([*landmarks, np.zeros(0, np.int64)]),
+            "seconds": np.array([frame.seconds for frame in self.frames]),
+            "said": np.array([json.dumps(frame.said) for frame in self.frames]),
+            "row_counts": np.array([len(frame.rows) for frame in self.frames], dtype=np.int64),
+            "rows": np.concatenate([*(frame.rows for frame in self.frames), np.zeros(0, np.int64)]),
+            "poses": np.concatenate([*(frame.poses for frame in self.frames), np.zeros((0, 4, 4))]),
+            "numbers": self.numbers,
+            "timestamps": self.timestamps,
+        }
+        file = io.BytesIO()
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # its stub takes allow_pickle for an array
+        return file.getvalue()
+
+    @classmethod
+    def decode(cls, content: bytes) -> Recording:
+        """What ``encode`` was given, to the bit; raises ``DamagedEntryError`` for other bytes."""
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+                a = {name: arrays[name] for name in arrays.files}
+            landmarks = np.split(a["landmarks"], np.cumsum(a["landmark_counts"])[:-1])
+            rows = np.split(a["rows"], np.cumsum(a["row_counts"])[:-1])
+            poses = np.split(a["poses"], np.cumsum(a["row_counts"])[:-1])
+            frames = [
+                TrackedFrame(
+                    a["digests"][k].tobytes(),
+                    TrackingResult(
+                        None if a["states"][k] == "lost" else a["estimates"][k],
+                        str(a["states"][k]),  # type: ignore[arg-type]  # one of the three, as it was written
+                        int(a["inliers"][k]),
+                        float(a["reprojection_px"][k]),
+                        None if a["without_landmarks"][k] else landmarks[k],
+                    ),
+                    float(a["seconds"][k]),
+                    [tuple(line) for line in json.loads(str(a["said"][k]))],
+                    rows[k],
+                    poses[k],
+                )
+                for k in range(len(a["states"]))
+            ]
+            return cls(frames, a["numbers"], a["timestamps"])
+        except (ValueError, KeyError, IndexError, OSError, zipfile.BadZipFile) as error:
+            raise DamagedEntryError(f"it is no recording: {error}") from error

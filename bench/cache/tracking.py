@@ -1,0 +1,178 @@
+"""A tracker that repeats what it said about the same frames in an earlier run, from the disk cache."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import logging
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.cache.code_version import code_version, project_version
+from bench.cache.cost import Cost
+from bench.cache.entry import DamagedEntryError
+from bench.cache.recording import Recording, Said, digest_of
+from bench.cache.settings import CacheConfig
+from bench.cache.store import CacheStore
+from bench.contracts.dataset import Dataset
+from bench.contracts.tracker import Tracker
+from bench.errors import BenchError
+from bench.machine import what_computes
+from bench.registry import PluginConfig
+from bench.types import StereoFrame, TrackingResult, Trajectory
+from bench.weights.checksum import sha256_of
+
+log = logging.getLogger(__name__)
+
+_LOGGERS = ("bench", "plugins")
+
+
+def cached_tracker(tracker: Tracker, config: PluginConfig, dataset: Mapping[str, Any], cache: CacheConfig) -> Tracker:
+    """``tracker`` behind the cache, or itself where sharing is switched off (``cache.all``) or it is not worth it.
+
+    ``dataset`` is the data set's part of the run's config.
+    """
+    if not (cache.enabled and cache.all and tracker.worth_caching):
+        return tracker
+    return CachedTracker(tracker, config, dataset, CacheStore(Path(cache.folder), cache.limit_gb * 1e9))
+
+
+class CachedTracker(Tracker):
+    """Repeats the recording of an earlier run as long as the frames are the same; else tracks, and records.
+
+    Where a frame differs from the recorded one, the tracker is shown all frames so far and takes over. What is wrong
+    with the disk costs time, never a result.
+    """
+
+    def __init__(self, tracker: Tracker, config: PluginConfig, dataset: Mapping[str, Any], store: CacheStore) -> None:
+        self._tracker = tracker
+        self._name = config.name
+        self._key = _key(tracker, config, dataset)
+        self._store = store
+        self.last_cost = Cost(0.0, cached=False)
+
+    def start(self, dataset: Dataset) -> None:
+        """Look for a recording; without one, start the tracker."""
+        self._dataset = dataset
+        self._position = 0
+        self._poses = np.zeros((0, 4, 4))
+        self._repeated = self._read()
+        self._recording: Recording | None = None
+        if self._repeated is None:
+            self._tracker.start(dataset)
+            self._recording = Recording()
+
+    def track(self, frame: StereoFrame) -> TrackingResult:
+        """The recorded answer, or the tracker's; ``last_cost`` says what computing it took."""
+        digest = digest_of(frame)
+        position = self._position
+        self._position += 1
+        if self._repeated is not None:
+            if position < len(self._repeated.frames) and self._repeated.frames[position].digest == digest:
+                return self._repeat(position)
+            self._take_over(position)
+        start = time.perf_counter()
+        with _heard() as said:
+            result = self._tracker.track(frame)
+        seconds = time.perf_counter() - start
+        self.last_cost = Cost(seconds, cached=False)
+        self._record(digest, result, seconds, said)
+        return result
+
+    def trajectory(self) -> Trajectory:
+        """As of the newest frame."""
+        if self._repeated is None:
+            return self._tracker.trajectory()
+        count = len(self._poses)
+        return Trajectory(self._poses.copy(), self._repeated.numbers[:count], self._repeated.timestamps[:count])
+
+    def _repeat(self, position: int) -> TrackingResult:
+        assert self._repeated is not None
+        frame = self._repeated.frames[position]
+        if len(frame.rows):
+            missing = max(int(frame.rows.max()) + 1 - len(self._poses), 0)
+            self._poses = np.concatenate([self._poses, np.zeros((missing, 4, 4))])
+            self._poses[frame.rows] = frame.poses
+        for level, name, text in frame.said:
+            logging.getLogger(name).log(level, "%s", text)
+        self.last_cost = Cost(frame.seconds, cached=True)
+        return frame.result
+
+    def _take_over(self, position: int) -> None:
+        """The frames are not those of the recording: show the tracker what it has not seen."""
+        log.info("cache: frame %d is not the one that was recorded; tracking from the first on", position)
+        self._repeated = None
+        self._tracker.start(self._dataset)
+        for each in range(position):
+            self._tracker.track(self._dataset.frame(each))
+
+    def _record(self, digest: bytes, result: TrackingResult, seconds: float, said: list[Said]) -> None:
+        """Note the answer; after the last frame, put the recording where later runs find it."""
+        recording = self._recording
+        if recording is None:
+            return
+        if not recording.add(digest, result, seconds, said, self._tracker.trajectory()):
+            self._recording = None
+        elif self._position == len(self._dataset):
+            try:
+                self._store.write_content("tracker", self._name, self._key, recording.encode())
+            except (OSError, BenchError) as error:
+                log.warning("cache: going on without keeping the trajectory in %s: %s", self._store.folder, error)
+
+    def _read(self) -> Recording | None:
+        content = self._store.read_content("tracker", self._name, self._key)
+        if content is None:
+            return None
+        try:
+            return Recording.decode(content)
+        except DamagedEntryError as error:
+            log.warning("cache: a recorded trajectory can't be used (%s); tracking again", error)
+            return None
+
+
+def _key(tracker: Tracker, config: PluginConfig, dataset: Mapping[str, Any]) -> str:
+    """All that the answers depend on but for the frames themselves, which are compared one by one."""
+    files = {
+        setting.name: sha256_of(Path(value))
+        for setting in dataclasses.fields(config)
+        if setting.metadata.get("path") and (value := getattr(config, setting.name)) and Path(value).is_file()
+    }
+    parts = {
+        "config": dataclasses.asdict(config) | files,
+        "dataset": dict(dataset),
+        "code": [code_version(type(tracker)), project_version()],
+        "machine": what_computes(),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+
+
+@contextmanager
+def _heard() -> Iterator[list[Said]]:
+    """What this thread logs during the block, for the log of later runs."""
+    said: list[Said] = []
+    handler = _Listener(said)
+    for name in _LOGGERS:
+        logging.getLogger(name).addHandler(handler)
+    try:
+        yield said
+    finally:
+        for name in _LOGGERS:
+            logging.getLogger(name).removeHandler(handler)
+
+
+class _Listener(logging.Handler):
+    def __init__(self, said: list[Said]) -> None:
+        super().__init__()
+        self._said = said
+        self._thread = threading.get_ident()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.thread == self._thread:
+            self._said.append((record.levelno, record.name, record.getMessage()))

@@ -1,0 +1,174 @@
+"""A recorded trajectory is what the tracker would say again: the same bits in a run, and no word of it is lost."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bench.cache.entry import DamagedEntryError
+from bench.cache.recording import Recording, digest_of
+from bench.config import compose_run
+from bench.evaluation.run_evaluators import evaluate_run
+from bench.system import run_system
+from bench.types import StereoFrame, TrackingResult, Trajectory
+from plugins.datasets.street import Street
+from plugins.trackers.stereo_orb import StereoOrb
+
+SETTINGS = ("dataset.frames=6", "dataset.width=320", "dataset.height=96", "protocol.lpips=false")
+MAPPED = "mapper.iterations=2"
+
+
+@pytest.fixture
+def tracked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of the frames that the tracker really was shown; it says something about each in the log."""
+    numbers: list[int] = []
+    track = StereoOrb.track
+
+    def note(self: StereoOrb, frame: StereoFrame) -> TrackingResult:
+        numbers.append(frame.number)
+        logging.getLogger("bench.tracking").info("looked at frame %d", frame.number)
+        return track(self, frame)
+
+    monkeypatch.setattr(StereoOrb, "track", note)
+    return numbers
+
+
+def run(tmp_path: Path, name: str, *overrides: str) -> Path:
+    options = ["cache.all=true", f"cache.folder={tmp_path / 'cache'}", f"output={tmp_path / name}"]
+    return run_system(compose_run([*SETTINGS, *options, *overrides])).path
+
+
+def test_a_second_run_repeats_the_first_ones_tracking(tmp_path: Path, tracked: list[int]) -> None:
+    """Another loss term and another seed leave tracking as it is; so does the trajectory at each keyframe's time."""
+    alone = run(tmp_path, "alone", MAPPED, "cache.all=false", "seed=3", "loss=[rgb,ssim]")
+    first = run(tmp_path, "first", MAPPED)
+    assert tracked == [*range(6), *range(6)]
+    second = run(tmp_path, "second", MAPPED, "seed=3", "loss=[rgb,ssim]")
+    assert tracked == [*range(6), *range(6)]
+    for name in ("map.ply", "trajectory.csv", "views/left/color/000005.png", "views/right/depth/000003.png"):
+        assert (alone / name).read_bytes() == (second / name).read_bytes(), name
+    frames = [pd.read_csv(folder / "frames.csv") for folder in (first, second)]
+    assert not frames[0]["tracking_cached"].any()
+    assert frames[1]["tracking_cached"].all()
+    assert frames[1]["stereo_cached"].equals(frames[1]["mapped"])  # SGBM, too
+    assert frames[1]["tracking_s"].equals(frames[0]["tracking_s"])
+    assert (second / "log.txt").read_text().count("looked at frame") == 6
+    notes = evaluate_run(second)["notes"]["resources"]
+    assert notes.startswith("stereo or sky of 6 frames and tracking of 6 frames came from the cache")
+
+
+@pytest.mark.parametrize("override", ["tracker.features=700", "dataset.seed=5", "dataset.frames=5"])
+def test_another_tracker_or_street_is_tracked(tmp_path: Path, tracked: list[int], override: str) -> None:
+    run(tmp_path, "one", "mapper=none")
+    run(tmp_path, "other", "mapper=none", override)
+    assert len(tracked) == 6 + (5 if "frames" in override else 6)
+
+
+def test_frames_that_changed_on_disk_are_tracked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tracked: list[int]
+) -> None:
+    """The settings are the same, a later picture is not: the tracker is shown all frames, in order."""
+    run(tmp_path, "one", "mapper=none")
+    tracked.clear()
+    frame = Street.frame
+
+    def darker(self: Street, position: int) -> StereoFrame:
+        found = frame(self, position)
+        return replace(found, left=found.left // 2, right=found.right // 2) if position >= 3 else found
+
+    monkeypatch.setattr(Street, "frame", darker)
+    other = run(tmp_path, "other", "mapper=none")
+    assert tracked == [0, 1, 2, 3, 4, 5]
+    alone = run(tmp_path, "alone", "mapper=none", "cache.all=false")
+    assert (other / "trajectory.csv").read_bytes() == (alone / "trajectory.csv").read_bytes()
+    assert "frame 3 is not the one that was recorded" in (other / "log.txt").read_text()
+
+
+def test_a_damaged_recording_is_made_again(tmp_path: Path, tracked: list[int]) -> None:
+    run(tmp_path, "one", "mapper=none")
+    (entry,) = (tmp_path / "cache" / "tracker").rglob("*.entry")
+    entry.write_bytes(entry.read_bytes()[:500])
+    run(tmp_path, "two", "mapper=none")
+    run(tmp_path, "three", "mapper=none")
+    assert len(tracked) == 12
+
+
+def test_a_run_that_stops_early_leaves_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.system._Run._take", lambda *nothing: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        run(tmp_path, "one", "pipeline=sequential")
+    assert not list((tmp_path / "cache").rglob("tracker/*/*/*.entry"))
+
+
+def test_by_default_nothing_quick_is_kept(tmp_path: Path) -> None:
+    run(tmp_path, "one", "mapper=none", "cache.all=false")
+    assert not (tmp_path / "cache").exists()
+
+
+def pose(x: float) -> Any:
+    T = np.eye(4)
+    T[0, 3] = x
+    return T
+
+
+def test_a_recording_by_hand() -> None:
+    """Frame 1 is lost, frame 2 corrects frame 0: only frames 0 and 2 of the trajectory have to be kept then."""
+    recording = Recording()
+    trajectories = [
+        Trajectory(np.array([pose(0.1)]), np.array([0]), np.array([0.0])),
+        Trajectory(np.array([pose(0.1)]), np.array([0]), np.array([0.0])),
+        Trajectory(np.array([pose(0.2), pose(2.0)]), np.array([0, 2]), np.array([0.0, 0.2])),
+    ]
+    results = [
+        TrackingResult(pose(0.1), "ok", 50, 0.25, np.array([3, 9])),
+        TrackingResult(None, "lost", 2, float("nan"), None),
+        TrackingResult(pose(2.0), "weak", 7, 1.5, np.zeros(0, np.int64)),
+    ]
+    for k, (result, after) in enumerate(zip(results, trajectories, strict=True)):
+        assert recording.add(bytes([k]) * 32, result, 0.5 + k, [(20, "bench.x", f"line {k}, é")], after)
+    again = Recording.decode(recording.encode())
+    assert [frame.rows.tolist() for frame in again.frames] == [[0], [], [0, 1]]
+    assert [frame.poses[:, 0, 3].tolist() for frame in again.frames] == [[0.1], [], [0.2, 2.0]]
+    assert [frame.digest[0] for frame in again.frames] == [0, 1, 2]
+    assert [frame.seconds for frame in again.frames] == [0.5, 1.5, 2.5]
+    assert again.frames[1].said == [(20, "bench.x", "line 1, é")]
+    assert again.numbers.tolist() == [0, 2]
+    assert again.timestamps.tolist() == [0.0, 0.2]
+    for one, other in zip(results, (frame.result for frame in again.frames), strict=True):
+        assert (one.state, one.inliers) == (other.state, other.inliers)
+        np.testing.assert_array_equal(one.reprojection_px, other.reprojection_px)
+        for name in ("T_world_cam", "landmarks"):
+            first, second = getattr(one, name), getattr(other, name)
+            assert (first is None) == (second is None), name
+            if first is not None:
+                np.testing.assert_array_equal(first, second)
+
+
+def test_a_tracker_that_drops_frames_is_not_recorded() -> None:
+    recording = Recording()
+    result = TrackingResult(pose(0), "ok")
+    assert recording.add(bytes(32), result, 0.0, [], Trajectory(pose(0)[None], np.array([0]), np.array([0.0])))
+    assert not recording.add(bytes(32), result, 0.0, [], Trajectory(pose(1)[None], np.array([1]), np.array([0.1])))
+
+
+def test_bytes_of_something_else_are_refused() -> None:
+    with pytest.raises(DamagedEntryError):
+        Recording.decode(json.dumps({"a": 1}).encode())
+
+
+def test_every_part_of_a_frame_counts() -> None:
+    image = np.zeros((4, 6, 3), np.uint8)
+    frame = StereoFrame(3, 0.3, image, image)
+    brighter = image.copy()
+    brighter[3, 5, 2] = 1
+    others = [replace(frame, number=4), replace(frame, timestamp=0.4)]
+    others += [replace(frame, left=brighter), replace(frame, right=brighter)]
+    assert len({digest_of(each) for each in (frame, *others)}) == 5
+    assert digest_of(replace(frame, left=image.copy())) == digest_of(frame)
