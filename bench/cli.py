@@ -3,42 +3,34 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import sys
 from collections.abc import Sequence
 
 from bench.errors import BenchError
 
+_COMMANDS = (
+    *("run", "list", "table", "reproduce", "evaluate", "score", "stereo-eval", "vocabulary", "weights", "cache"),
+    *("new-plugin", "check-plugin", "doctor", "readme"),
+)
+"""Each is a module in ``bench.commands``, in the order of ``--help``."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a sub-command. Exit code 0 = done, 1 = a run failed, 2 = wrong input, 130 = Ctrl-C."""
-    # Read when torch is first imported, below: its OpenMP threads would otherwise spin after each operation and take
-    # the cores from the C++ core's threads.
+    # Read when a command first imports torch: its OpenMP threads would otherwise spin after each operation and take the
+    # cores from the C++ core's threads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    from bench.commands import (
-        cache,
-        check_plugin,
-        doctor,
-        evaluate,
-        list,
-        new_plugin,
-        reproduce,
-        run,
-        score,
-        stereo_eval,
-        table,
-        vocabulary,
-        weights,
-    )
-
     parser = argparse.ArgumentParser(
         prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors."
     )
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    of_runs = (run, list, table, reproduce, evaluate, score, stereo_eval)
-    for command in (*of_runs, vocabulary, weights, cache, new_plugin, check_plugin, doctor):
-        command.add_parser(subparsers)
-    args, left = parser.parse_known_args(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    # All of them import torch and more, which takes seconds; the one that is meant may need little of that.
+    for command in given[:1] if given and given[0] in _COMMANDS else _COMMANDS:
+        importlib.import_module(f"bench.commands.{command.replace('-', '_')}").add_parser(subparsers)
+    args, left = parser.parse_known_args(given)
     # argparse takes `run a=1 -m b=2` for two lists of overrides and knows a place for the first only.
     if left and (not hasattr(args, "overrides") or any(argument.startswith("-") for argument in left)):
         parser.error(f"unrecognized arguments: {' '.join(left)}")
@@ -49,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except BenchError as error:
         print(f"bgs-bench: {error}", file=sys.stderr)
-        return 1 if isinstance(error, run.RunFailedError) else 2
+        return error.exit_code
     except KeyboardInterrupt:
         print("bgs-bench: interrupted; what was done is in the run folder", file=sys.stderr)
         return 130

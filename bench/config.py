@@ -137,8 +137,8 @@ def compose_run(overrides: Sequence[str]) -> RunConfig:
     return resolved(composed)
 
 
-def compose_sweep(overrides: Sequence[str]) -> list[RunConfig]:
-    """Compose every combination that ``-m`` would run, so that a wrong value is known before the first run starts."""
+def combinations(overrides: Sequence[str]) -> list[list[str]]:
+    """The overrides of every combination of the values that ``-m`` would run; raises ``BenchError`` for wrong ones."""
     choices: list[list[str]] = []
     for override in check_overrides(with_home(overrides)):
         line = override.input_line or ""
@@ -149,7 +149,12 @@ def compose_sweep(overrides: Sequence[str]) -> list[RunConfig]:
             choices.append([f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()])
         except HydraException as error:
             raise BenchError(f"{line}: {_first_line(error)}. Write the values with commas between them.") from error
-    return [compose_run(cell) for cell in itertools.product(*choices)]
+    return [list(cell) for cell in itertools.product(*choices)]
+
+
+def compose_sweep(overrides: Sequence[str]) -> list[RunConfig]:
+    """Compose every combination that ``-m`` would run, so that a wrong value is known before the first run starts."""
+    return [compose_run(cell) for cell in combinations(overrides)]
 
 
 def with_home(overrides: Sequence[str]) -> list[str]:
@@ -178,9 +183,14 @@ def resolved(composed: DictConfig) -> RunConfig:
     Protocol.from_mapping(plain["protocol"])
     plain["cache"] = dataclasses.asdict(CacheConfig.from_mapping(plain["cache"]))
     require_choice("pipeline", plain["pipeline"], ["parallel", "sequential"])
-    hashed = {key: value for key, value in plain.items() if key not in NO_PART_OF_THE_RUN}
+    return RunConfig(plain, hash_of(plain))
+
+
+def hash_of(values: Mapping[str, Any]) -> str:
+    """Hash of a resolved config: of all that can change a run's result; it names the run's folder."""
+    hashed = {key: value for key, value in values.items() if key not in NO_PART_OF_THE_RUN}
     text = json.dumps(hashed, sort_keys=True, default=str)
-    return RunConfig(plain, hashlib.sha256(text.encode()).hexdigest()[:12])
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def _check_root(values: Mapping[str, Any]) -> None:

@@ -9,8 +9,10 @@ from collections.abc import Iterable
 class BenchError(Exception):
     """Wrong input or configuration: the message says what, where, and what to do.
 
-    The command line prints it as one line and exits with code 2; no traceback.
+    The command line prints it as one line and exits with ``exit_code``; no traceback.
     """
+
+    exit_code = 2
 
 
 def did_you_mean(wrong: str, accepted: Iterable[str]) -> str:

@@ -1,4 +1,4 @@
-"""``bgs-bench evaluate``: score a saved run again, without mapping again."""
+"""``bgs-bench evaluate``: score a saved run again, without mapping again, also under another protocol."""
 
 from __future__ import annotations
 
@@ -9,22 +9,46 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
+from bench.errors import BenchError
+from bench.evaluation.rescore import copy_for
 from bench.evaluation.run_evaluators import evaluate_run
+from bench.runs.saved import SavedRun
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
+
+_EXAMPLES = """A run keeps the protocol that it was made with: under another one, or with other evaluators, its scores
+go to a run folder of their own beside it, with links to the same pictures.
+
+examples:
+  bgs-bench evaluate results/runs/3f2a9c01d4e5
+  bgs-bench evaluate results/runs/3f2a9c01d4e5 protocol=paper
+  bgs-bench evaluate results/runs/3f2a9c01d4e5 protocol.ssim=3dgs evaluator=[ate,image,dialects] --out scored
+"""
 
 
 def add_parser(subparsers: Any) -> None:
     """Register the command with the parser that ``bgs-bench`` builds."""
-    parser = subparsers.add_parser("evaluate", help="score a saved run again, without mapping again")
+    parser = subparsers.add_parser(
+        "evaluate",
+        help="score a saved run again, without mapping again, also under another protocol",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("folder", type=Path, metavar="RUN_FOLDER")
+    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="of protocol and evaluator")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="for these scores (default: beside the run)")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write ``metrics.json`` and ``per_frame.csv`` and print the run's row; ``BenchError`` for what is no run."""
     console = Console()
-    with Progress(console=console, transient=True) as bar:
+    folder = args.folder
+    if args.out is not None and not args.overrides:
+        raise BenchError("--out is for scores under other settings; say which, for example protocol=paper.")
+    if args.overrides:
+        folder = copy_for(SavedRun(args.folder), args.overrides, args.out)
+    with Progress(console=console, transient=True, disable=not console.is_interactive) as bar:
         tasks: dict[str, TaskID] = {}
 
         def show(what: str, done: int, total: int) -> None:
@@ -32,6 +56,8 @@ def run(args: argparse.Namespace) -> int:
                 tasks[what] = bar.add_task(f"scoring {what}")
             bar.update(tasks[what], completed=done, total=total)
 
-        evaluate_run(args.folder, show)
-    print_table([collect_row(args.folder)], console)
+        evaluate_run(folder, show)
+    print_table([collect_row(folder)], console)
+    if args.overrides:
+        console.print(f"run folder: {folder}", markup=False, highlight=False, soft_wrap=True)
     return 0

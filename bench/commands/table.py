@@ -10,11 +10,23 @@ from rich.console import Console
 
 from bench.errors import BenchError, did_you_mean
 from bench.runs.atomic import write_text
-from bench.tables.collect import collect_row, find_runs
+from bench.tables.collect import DEFAULT_FOLDER, collect_row, find_runs
+from bench.tables.kept.file import SUFFIX, is_record_file, read_record_file, record_text
+from bench.tables.kept.rows import row_of_record
 from bench.tables.named.definitions import TABLE_NAMES
-from bench.tables.named.records import VIEW_GROUPS
+from bench.tables.named.records import VIEW_GROUPS, read_runs
 from bench.tables.named.table import FORMATS, make_table
 from bench.tables.render import print_table, writer_for
+
+_ABOUT = f"""The paper's tables are {", ".join(TABLE_NAMES)}; without a name: one row a run.
+
+A record file (NAME{SUFFIX}) keeps what tables need of runs when the run folders are gone. It goes wherever run folders
+go, and gives the same tables; --out FOLDER writes one beside a named table, whose cells link to it."""
+
+_EXAMPLES = f"""examples:
+  bgs-bench table main_kitti results/runs --out results/tables
+  bgs-bench table main_kitti results/tables/main_kitti{SUFFIX} --format tex
+  bgs-bench table results/runs/a results/runs/b --out trackers.md trackers{SUFFIX}"""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -22,14 +34,16 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "table",
         help="one row a run, or one of the paper's tables: to the terminal, and to .md, .csv, .tex, .html",
-        description=f"The paper's tables are {', '.join(TABLE_NAMES)}; without a name: one row a run.",
+        description=_ABOUT,
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "runs",
         nargs="*",
         type=Path,
         metavar="[NAME] RUN_FOLDER",
-        help="name of a table, then run folders or folders of them; default: all under results/runs",
+        help=f"name of a table, then run folders, folders of them or record files; default: all under {DEFAULT_FOLDER}",
     )
     parser.add_argument(
         "--out",
@@ -38,13 +52,13 @@ def add_parser(subparsers: Any) -> None:
         default=[],
         type=Path,
         metavar="PLACE",
-        help="FILE.md, FILE.csv, FILE.tex; for a named table also FILE.html, or a folder for all of them",
+        help=f"FILE.md, .csv, .tex or {SUFFIX}; for a named table also FILE.html, or a folder for all of them",
     )
     parser.add_argument(
         "--format", choices=FORMATS, help="named table: print this instead, or write only this to --out FOLDER"
     )
     parser.add_argument(
-        "--views", choices=VIEW_GROUPS, default="left", help="named table: whose image metrics (default: all left)"
+        "--views", choices=VIEW_GROUPS, help="named table: whose image metrics (default: a record's own, else left)"
     )
     parser.set_defaults(run=run)
 
@@ -58,35 +72,45 @@ def run(args: argparse.Namespace) -> int:
         raise BenchError(f"There is no folder and no table {name}; the tables are {', '.join(TABLE_NAMES)}.{near}")
     if args.format:
         raise BenchError("--format goes with a table's name; write the table of runs with --out FILE.md or FILE.csv.")
-    writers = {path: writer_for(path) for path in args.out}
-    rows = [collect_row(folder) for folder in find_runs(args.runs)]
+    texts = {path: None if is_record_file(path) else writer_for(path) for path in args.out}
+    files = [path for path in args.runs if is_record_file(path)]
+    named = [path for path in args.runs if path not in files]
+    folders = find_runs(named) if named or not files else []
+    rows = [row_of_record(run) for file in files for run in read_record_file(file).runs]
+    rows += [collect_row(folder) for folder in folders]
     console = Console()
     print_table(rows, console)
-    for path, write in writers.items():
-        _write(path, write(rows), console)
+    for path, write in texts.items():
+        _write(path, record_text(read_runs(args.runs)) if write is None else write(rows), console)
     return 0
 
 
 def _named(name: str, runs: list[Path], args: argparse.Namespace) -> int:
-    files = [file for place in args.out for file in _files_of(place, name, args.format)]
+    files = [place for place in args.out if _is_file(place)]
     table = make_table(name, runs, args.views)
-    if args.format and not files:
+    if args.format and not args.out:
         print(table.text(args.format, Path()), end="")
         return 0
     console = Console()
     table.print(console)
     for file in files:
-        _write(file, table.text(file.suffix[1:], file.parent), console)
+        text = record_text(table.runs) if is_record_file(file) else table.text(file.suffix[1:], file.parent)
+        _write(file, text, console)
+    for folder in args.out:
+        if folder not in files:
+            for file in table.write(folder, [args.format] if args.format else FORMATS):
+                _say_wrote(file, console)
     return 0
 
 
-def _files_of(place: Path, name: str, form: str | None) -> list[Path]:
-    """The files that an ``--out`` stands for: itself, or in a folder one of each format."""
-    if place.suffix and not place.is_dir():
-        if place.suffix[1:] not in FORMATS:
-            raise BenchError(f"--out {place}: the extension must be one of .{', .'.join(FORMATS)}, or name a folder.")
-        return [place]
-    return [place / f"{name}.{each}" for each in ([form] if form else FORMATS)]
+def _is_file(place: Path) -> bool:
+    """Whether an ``--out`` names a file of a form that there is; otherwise it is a folder."""
+    if not place.suffix or place.is_dir():
+        return False
+    if place.suffix[1:] not in FORMATS and not is_record_file(place):
+        forms = ", .".join(FORMATS)
+        raise BenchError(f"--out {place}: the extension must be one of .{forms}, {SUFFIX}, or name a folder.")
+    return True
 
 
 def _write(path: Path, text: str, console: Console) -> None:
@@ -95,4 +119,8 @@ def _write(path: Path, text: str, console: Console) -> None:
     except OSError as error:
         raise BenchError(f"Can't make the folder of --out {path}: {error.strerror}. Give another place.") from error
     write_text(path, text)
+    _say_wrote(path, console)
+
+
+def _say_wrote(path: Path, console: Console) -> None:
     console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)

@@ -14,9 +14,12 @@ def count_states(numbers: Sequence[int] | npt.NDArray[np.int64], states: Sequenc
     """``tracked``, ``ok``, ``weak``, ``lost`` and ``lost_stretches`` of frames in order, with a state for each.
 
     A stretch is ``[first, last]``, two frame numbers; frames that follow each other in the sequence belong together,
-    also where their numbers step by more than one. Tracked = all that are not lost.
+    also where their numbers step by more than one. Tracked = all that are not lost. Where states are "unknown" (another
+    system's output without a trajectory), the counts are None.
     """
     count = Counter(states)
+    if count["unknown"]:
+        return dict.fromkeys(("tracked", "ok", "weak", "lost")) | {"lost_stretches": []}
     return {
         "tracked": len(states) - count["lost"],
         "ok": count["ok"],

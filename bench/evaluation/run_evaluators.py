@@ -10,6 +10,8 @@ from bench.config import plugin_config_from
 from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.frame_states import count_states
+from bench.foreign.gaps import about_gaps
+from bench.foreign.identity import foreign_name
 from bench.runs.atomic import write_json, write_text
 from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE
 from bench.runs.provenance import describe_weights
@@ -36,6 +38,8 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
         evaluator = registry.build(plugin_config_from("evaluator", {"name": name} | (mapping or {})), "evaluator")
         merge(metrics, evaluator.evaluate(run))
     merge(metrics, {"map": _map_size(run), "frames": _frame_counts(run)})
+    gaps = about_gaps(run.frames)
+    merge(metrics, {"notes": {"output": gaps}} if gaps else {})
     _record_weights(run)
     write_text(run.path / PER_FRAME_FILE, run.per_frame().to_csv(index=False))
     write_json(run.path / METRICS_FILE, metrics)
@@ -74,8 +78,13 @@ def _frame_counts(run: SavedRun) -> dict[str, Any]:
     }
 
 
-def _learned_from_right(run: SavedRun) -> bool:
-    """Whether mapping saw right images (an optional column of ``frames.csv``): then right views are not unseen ones."""
+def _learned_from_right(run: SavedRun) -> bool | None:
+    """Whether mapping saw right images (an optional column of ``frames.csv``): then right views are not unseen ones.
+
+    None where nobody here knows: right views of another system.
+    """
+    if foreign_name(run.config) is not None and run.rendered("right"):
+        return None
     return "right_mapped" in run.frames and bool(run.frames["right_mapped"].any())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bench.foreign.identity import foreign_name
 from bench.runs.folder import TRAJECTORY_FILE
 from bench.runs.saved import SavedRun
 from bench.types import Trajectory
@@ -11,6 +12,8 @@ def estimate_and_truth(run: SavedRun) -> tuple[Trajectory, Trajectory] | str:
     """The run's estimate and its ground truth, as they were saved, or the reason why one is missing."""
     if run.status.state != "done" and not (run.path / TRAJECTORY_FILE).is_file():
         return "the run stopped before it saved its trajectory"
+    if foreign_name(run.config) is not None and not (run.path / TRAJECTORY_FILE).is_file():
+        return "the system's output has no trajectory"
     if run.ground_truth is None:
         return "the data set gives no ground-truth poses"
     return run.trajectory, run.ground_truth

@@ -122,8 +122,8 @@ class SavedRun:
     def numbers(self, view: View, group: Group) -> list[int]:
         """Frame numbers of a group's images that come from the camera ``view``, in order.
 
-        left: every tracked frame; train: mapped; heldout: kept out of mapping and tracked; right: every tracked frame. Of
-        another system's output those are the frames of which it has pictures.
+        left: every tracked frame; train: mapped; heldout: kept out of mapping and tracked; right: every tracked frame.
+        Of another system's output those are the frames of which it has pictures.
         A group has images of one camera only (``VIEW_OF_GROUP``); the list is empty for the other one.
         """
         if VIEW_OF_GROUP[group] != view:
@@ -138,10 +138,13 @@ class SavedRun:
         return [int(number) for number in self.frames.loc[wanted, "number"]]
 
     def rendered(self, view: View, what: Literal["color", "depth"] = "color") -> list[int]:
-        """Numbers of the tracked frames of which the run saved a render: its colour, or its depth.
+        """Numbers of the tracked frames of which the run saved a render.
 
-        Raises ``BenchError`` when a finished run saved some but lacks others; a run that stopped early may lack any.
+        A run of ours saves colour and depth together; of another system's output ``what`` says which of them. Raises
+        ``BenchError`` when a finished run saved some but lacks others; a run that stopped early may lack any.
         """
+        if f"{view}_{what}" not in self.frames:
+            what = "color"
         wanted = self._should_have(f"{view}_{what}")
         expected = [int(number) for number in self.frames.loc[wanted, "number"]]
         there = [number for number in expected if picture_path(self.path, view, what, number).is_file()]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError
 from bench.evaluation.frame_states import count_states, describe_stretches
+from bench.foreign.identity import system_name
 from bench.runs.config_file import read_config
 from bench.runs.folder import FRAME_COLUMNS, FRAMES_FILE, METRICS_FILE, RESOURCES_FILE
 from bench.runs.status import read_json, read_status
@@ -110,15 +112,25 @@ def collect_row(folder: Path) -> Row:
         frames = _part(metrics, "frames") or _count_frames(folder)
     except BenchError as error:
         notes.append(str(error))
+    reason = values.pop("reason", "")
+    return row_from_parts(values, metrics, frames, reason, notes)
+
+
+def row_from_parts(
+    values: dict[str, Any], metrics: dict[str, Any], frames: dict[str, Any], reason: str, damaged: Sequence[str] = ()
+) -> Row:
+    """A row from ``values`` by column key, to which those in ``metrics.json`` are added.
+
+    ``frames`` counts tracking states; ``reason`` is why the run stopped, ``damaged`` what of it can't be read.
+    """
     values |= _from_metrics(metrics)
     _show_tracked(frames, values)
-    if notes:
+    if damaged:
         values["status"] = f"{values['status'] or ''} (damaged)".strip()
     # The run's own words on why it stopped, and on what it could not compute.
-    reason = values.pop("reason", "")
-    notes += [f"stopped: {reason}"] if reason else []
+    notes = [*damaged, *([f"stopped: {reason}"] if reason else [])]
     notes += about_lost_frames(frames, _part(metrics, "trajectory"))
-    notes += [f"{name}: {reason}" for name, reason in _part(metrics, "notes").items()]
+    notes += [f"{name}: {note}" for name, note in _part(metrics, "notes").items()]
     return Row(values, _part(metrics, "protocol"), tuple(notes), static_camera_of(_part(metrics, "trajectory"), frames))
 
 
@@ -184,7 +196,7 @@ def _from_config(folder: Path) -> dict[str, Any]:
     sequence = dataset.get("sequence") if isinstance(dataset, dict) else None
     return {
         "dataset": f"{name}/{sequence}" if sequence not in (None, "") else name,
-        "system": _name(config.get("system")),
+        "system": system_name(config),
         "stereo": _name(config.get("stereo")),
         "tracker": _name(config.get("tracker")),
     }

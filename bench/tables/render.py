@@ -13,22 +13,11 @@ from rich.table import Table
 
 from bench.errors import BenchError
 from bench.tables.collect import COLUMNS, Column, Row
+from bench.tables.latex import latex_text
 from bench.tables.static_camera import NAME, static_camera_rows
 
 UNKNOWN = "-"
 _REFERENCE_STYLE = "dim italic"
-LATEX_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-}
 # Parts of the stamp that a reader needs to know what a number is; the rest is in each run's metrics.json.
 _STAMP = (
     "name",
@@ -143,7 +132,7 @@ def as_latex(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> str:
     alignment = "".join("r" if _is_number(column) else "l" for column in columns)
     lines = [f"% {note}" for note in footnotes(rows)]
     lines += [rf"\begin{{tabular}}{{{alignment}}}", r"\toprule"]
-    lines.append(" & ".join(_latex(_heading(column, " ")) for column in columns) + r" \\")
+    lines.append(" & ".join(latex_text(_heading(column, " ")) for column in columns) + r" \\")
     lines.append(r"\midrule")
     lines += [_latex_row(row, columns) for row in rows]
     lines += [r"\midrule"] if references else []
@@ -153,7 +142,7 @@ def as_latex(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> str:
 
 
 def _latex_row(row: Row, columns: Sequence[Column]) -> str:
-    cells = ["--" if cell == UNKNOWN else _latex(cell) for cell in (shown(column, row) for column in columns)]
+    cells = ["--" if cell == UNKNOWN else latex_text(cell) for cell in (shown(column, row) for column in columns)]
     if row.is_reference:
         cells = [cell if cell == "--" else rf"\textit{{{cell}}}" for cell in cells]
     return " & ".join(cells) + r" \\"
@@ -208,7 +197,3 @@ def _is_number(column: Column) -> bool:
 
 def _heading(column: Column, gap: str) -> str:
     return f"{column.title}{gap}[{column.unit}]" if column.unit else column.title
-
-
-def _latex(text: str) -> str:
-    return "".join(LATEX_SPECIAL.get(character, character) for character in text)

@@ -27,7 +27,7 @@ class DepthL1Evaluator(Evaluator):
         a note says how many did when some lack it.
         """
         errors = _errors_of_left_views(run)
-        rendered = run.rendered("left")
+        rendered = run.rendered("left", "depth")
         views: dict[str, Any] = {}
         for group in GROUPS:
             if VIEW_OF_GROUP[group] != "left":
@@ -46,7 +46,7 @@ def _errors_of_left_views(run: SavedRun) -> dict[int, float]:
     """Depth-L1 in cm by frame number, of the rendered left views that have LiDAR returns."""
     position_of = {number: position for position, number in enumerate(run.dataset.numbers)}
     errors = {}
-    numbers = run.rendered("left")
+    numbers = run.rendered("left", "depth")
     for done, number in enumerate(numbers):
         run.report_progress("depth", done, len(numbers))
         lidar = run.dataset.lidar_depth(position_of[number])

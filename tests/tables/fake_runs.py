@@ -75,3 +75,15 @@ def make_run(
     if scores is not None:
         folder.write_json("metrics.json", scores)
     return path
+
+
+def make_mixed_runs(folder: Path) -> Path:
+    """Runs with all that a table can show, and words that formats have to escape."""
+    for seed in (0, 1):
+        made = config("03", "bgs_slam", seed)
+        scores = metrics(801, psnr_db=20.0 + seed, ate_rmse_m=1, wall_s_per_frame=1)
+        scores["dialects"] = {"mono_gs": {"n_views": 3, "psnr_db": 30.0 + seed, "stamp": {"mask": "a & b, 50 %"}}}
+        make_run(folder / f"a_{seed}", made, scores)
+    make_run(folder / "b", config("05"), None, state="out_of_memory", frames=1, reason="a < b | 50 % & $x_1^2 {~}\\")
+    make_run(folder / "c", config("06"), metrics(300, psnr_db=9.0), frames=300)
+    return folder

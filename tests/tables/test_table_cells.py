@@ -8,10 +8,10 @@ import pytest
 
 from bench.config import compose_run
 from bench.errors import BenchError
-from bench.runs.config_file import write_config
+from bench.runs.config_file import NO_PART_OF_THE_RUN, write_config
+from bench.tables.kept.folder import read_folder
 from bench.tables.named.definitions import TABLES, cells, named_table
 from bench.tables.named.overrides import belongs, holds, row_of
-from bench.tables.named.records import read_record
 
 
 def test_cells_of_the_ablation() -> None:
@@ -24,6 +24,19 @@ def test_cells_of_the_ablation() -> None:
     assert "loss.geo.edge_weighted=false" in by_row["w/o gradient weight"]
     for cell in ablation:
         assert cell.overrides[:2] == ("dataset=kitti", "dataset.sequence=03")
+
+
+def test_cells_are_scored_as_the_paper_does_unless_the_user_says_otherwise() -> None:
+    for name in TABLES:
+        cell = cells(named_table(name))[0]
+        assert cell.overrides_with(["seed=1"])[:2] == ["protocol=paper", "seed=1"]
+        chosen = cell.overrides_with(["protocol=heldout", "protocol.sky=in"])
+        assert [each for each in chosen if each.startswith("protocol")] == ["protocol=heldout", "protocol.sky=in"]
+    cell = cells(named_table("ablation"))[0]
+    common = ["dataset.root=/nowhere"]
+    assert compose_run(cell.overrides_with(common)).protocol.name == "paper"
+    assert compose_run(cell.overrides_with([*common, "protocol=heldout"])).protocol.name == "heldout"
+    assert compose_run(cell.overrides_with([*common, "protocol.holdout_every=5"])).protocol.holdout_every == 5
 
 
 def test_withheld_cells_say_so() -> None:
@@ -54,20 +67,27 @@ def test_a_run_folders_config_reads_as_it_was_composed(tmp_path: Path) -> None:
         ["dataset=kitti", "dataset.root=/a b", "dataset.sequence='07'", "dataset.frames='10:20'", "seed=2"]
     ).values
     write_config(tmp_path, composed, "abc")
-    read = read_record(tmp_path).config
-    assert {key: value for key, value in read.items()} == {
-        key: value if not isinstance(value, tuple) else list(value) for key, value in composed.items()
-    }
+    read = read_folder(tmp_path).config
+    # Where the run and its data lay, and how it was started, is no part of the record.
+    assert set(composed) - set(read) == set(NO_PART_OF_THE_RUN)
+    del composed["dataset"]["root"]
+    assert read == {key: value for key, value in composed.items() if key in read}
     assert read["dataset"]["frames"] == "10:20"
 
 
 def test_the_reader_survives_odd_text(tmp_path: Path) -> None:
-    odd = {"system": "a: b # c", "seed": 1, "plugins": ["x", "y"], "dataset": {"name": "line\none\n\ntwo"}, "loss": {}}
+    odd = {
+        "system": "a: b # c",
+        "seed": 1,
+        "evaluator": ["x", "y"],
+        "dataset": {"name": "line\none\n\ntwo"},
+        "loss": {},
+    }
     write_config(tmp_path, odd, "abc")
-    assert read_record(tmp_path).config == odd
+    assert read_folder(tmp_path).config == odd
     (tmp_path / "config.yaml").write_text("system: [a\nseed: 1\n")
     with pytest.raises(BenchError, match=r"config\.yaml can't be read: .* Delete the run folder"):
-        read_record(tmp_path)
+        read_folder(tmp_path)
 
 
 def test_overrides_hold_or_not() -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from bench.errors import require_choice
+from bench.errors import BenchError, require_choice
 from bench.tables.named.published import read_sequences
 
 SEEDS = (0, 1, 2)
@@ -44,7 +45,10 @@ class MethodRow:
 
 @dataclass(frozen=True)
 class NamedTable:
-    """A table; ``across`` says what its columns are. ``about`` is what its caption says of the paper's numbers."""
+    """A table; ``across`` says what its columns are. ``about`` is what its caption says of the paper's numbers.
+
+    ``protocol`` is how its runs are scored unless the user wants another.
+    """
 
     name: str
     title: str
@@ -54,6 +58,7 @@ class NamedTable:
     rows: tuple[MethodRow, ...]
     across: Literal["sequences", "metrics"]
     about: str = ""
+    protocol: str = "paper"
 
 
 @dataclass(frozen=True)
@@ -61,13 +66,19 @@ class Cell:
     """What has to be run for a place in the table: ``row`` is a method's label, ``column`` a sequence.
 
     ``overrides`` are those of ``bgs-bench run``, without the seed and without where the data set lies. ``blocked``
-    says why nobody can run it, or is empty.
+    says why nobody can run it, or is empty. ``defaults`` hold where the user does not say otherwise.
     """
 
     row: str
     column: str
     overrides: tuple[str, ...]
     blocked: str = ""
+    defaults: tuple[str, ...] = ()
+
+    def overrides_with(self, common: Sequence[str]) -> list[str]:
+        """What a run of this cell is composed of, with a user's overrides ``common`` that are for all cells."""
+        chosen = {each.partition("=")[0] for each in common}
+        return [*(each for each in self.defaults if each.partition("=")[0] not in chosen), *common, *self.overrides]
 
 
 ATE = Metric("ate_rmse_m", "ATE", "m", "lower", 3)
@@ -231,6 +242,12 @@ TABLE_NAMES = (*TABLES, DIALECTS)
 
 def named_table(name: str) -> NamedTable:
     """The table of this name; raises ``BenchError`` with the names there are."""
+    if name == DIALECTS:
+        raise BenchError(
+            f"The table {DIALECTS} has no cells of its own: it is of any runs. Make some with `bgs-bench run "
+            "'evaluator=[ate,image,depth_l1,resources,dialects]' ...` or `bgs-bench reproduce main_kitti "
+            f"'evaluator=[...]'`, then `bgs-bench table {DIALECTS} RUN_FOLDER ...`."
+        )
     return TABLES[require_choice("table", name, TABLES)]
 
 
@@ -243,6 +260,7 @@ def cells(table: NamedTable) -> list[Cell]:
             sequence,
             (f"dataset={table.dataset}", f"dataset.sequence={sequence}", *row.overrides),
             facts[sequence].withheld,
+            (f"protocol={table.protocol}",),
         )
         for row in table.rows
         if row.overrides is not None

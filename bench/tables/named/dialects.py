@@ -1,28 +1,32 @@
-"""The table of dialects: a run's numbers by our protocol, and by the rules of other systems' evaluators."""
+"""The table of dialects: the numbers of runs by our protocol, and by the rules of other systems' evaluators."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.runs.folder import METRICS_FILE
-from bench.runs.status import read_json
+from bench.foreign.identity import system_name
 from bench.tables.collect import Row
+from bench.tables.kept.made import made_in_words
+from bench.tables.kept.record import RunRecord, is_number
 from bench.tables.named.definitions import ATE, IMAGE, Metric
+from bench.tables.named.fill import Statistic, choose_runs, statistic
 from bench.tables.named.grid import MINUS, OURS, Grid, GridCell, Line, heading
 from bench.tables.named.links import relative
-from bench.tables.named.records import RunRecord
+from bench.tables.named.settings import scored_config, settings_of
 from bench.tables.render import UNKNOWN, footnotes
 
 METRICS = (*IMAGE, ATE)
-CSV_COLUMNS = ("run", "by", "n_views", "metric", "unit", "value", "difference", "folder")
+CSV_COLUMNS = ("of", "by", "n_views", "metric", "unit", "value", "std", "n", "seeds", "difference", "runs")
 _LEGEND = (
-    "Line ours: by the run's protocol, of {views}. Lines below it: the same saved run by the rules of other systems' "
-    "evaluators, and in brackets their number minus ours."
+    "Line ours: mean ± sample standard deviation over seeds (number of runs), by the runs' protocol, of {views}. Lines "
+    "below it: the same saved runs by the rules of other systems' evaluators, and in brackets their number minus ours."
 )
 _VIEWS = {
     "left": "all left views",
@@ -32,66 +36,117 @@ _VIEWS = {
 
 
 @dataclass(frozen=True)
-class ScoredRun:
-    """A run and its part ``dialects`` of ``metrics.json``: by name, metrics, n_views and stamp."""
+class ScoredGroup:
+    """Runs of one system on one sequence that differ in their seed alone, all scored by the same dialects.
 
-    record: RunRecord
-    dialects: Mapping[str, Mapping[str, Any]]
+    ``notes`` are on runs that are not among them.
+    """
+
+    name: str
+    runs: tuple[RunRecord, ...]
+    notes: tuple[str, ...] = ()
 
     @property
-    def name(self) -> str:
-        """How the table calls it."""
-        return self.record.folder.resolve().name
+    def dialects(self) -> Mapping[str, Mapping[str, Any]]:
+        """The part ``dialects`` of the first run's metrics: by name, metrics, n_views and stamp."""
+        return self.runs[0].part("dialects")
 
-    def value(self, by: str, metric: Metric) -> float | None:
-        """A number of ours or of a dialect, or None."""
+    def values(self, by: str, metric: Metric) -> dict[int, float]:
+        """A number of ours or of a dialect by seed, of the runs that have it."""
+        found = {}
         # Not every evaluator's ATE is a root mean square.
         key = "ate_m" if metric is ATE and by != OURS else metric.key
-        found = self.record.values.get(key) if by == OURS else self.dialects[by].get(key)
-        return found if isinstance(found, (int, float)) else None
+        for run in self.runs:
+            value = run.values.get(key) if by == OURS else run.part("dialects")[by].get(key)
+            if value is not None and is_number(value):
+                found[run.seed] = value
+        return found
+
+    def mean(self, by: str, metric: Metric) -> Statistic | None:
+        """Over the runs that have it, or None."""
+        return statistic(list(self.values(by, metric).values()))
 
     def difference(self, by: str, metric: Metric) -> float | None:
-        """A dialect's number minus ours, where both are known."""
-        ours, theirs = self.value(OURS, metric), self.value(by, metric)
-        return None if by == OURS or ours is None or theirs is None else theirs - ours
+        """A dialect's number minus ours, the mean over the runs that have both; None without one."""
+        ours, theirs = self.values(OURS, metric), self.values(by, metric)
+        found = statistic([theirs[seed] - ours[seed] for seed in theirs if seed in ours])
+        return None if by == OURS or found is None else found.mean
+
+    def views(self, by: str) -> str:
+        """How many views a dialect scored; several numbers where that differs between seeds."""
+        counts = [str(run.part("dialects")[by].get("n_views")) for run in self.runs]
+        return counts[0] if len(set(counts)) == 1 else "/".join(counts)
 
 
-def scored_runs(records: Sequence[RunRecord]) -> list[ScoredRun]:
-    """The runs that the evaluator ``dialects`` has scored; raises ``BenchError`` for a damaged ``metrics.json``."""
-    runs = []
+def scored_groups(records: Sequence[RunRecord]) -> list[ScoredGroup]:
+    """The runs that the evaluator ``dialects`` has scored, grouped by all that is not their seed, and named."""
+    groups: dict[str, list[RunRecord]] = defaultdict(list)
+    settings: dict[str, dict[str, str]] = {}
     for record in records:
-        path = record.folder / METRICS_FILE
-        dialects = read_json(path).get("dialects") if path.is_file() else None
-        if isinstance(dialects, dict) and dialects:
-            runs.append(ScoredRun(record, dialects))
-    return runs
+        dialects = record.part("dialects")
+        if not dialects or not record.values:
+            continue
+        of_run = settings_of(scored_config(record))
+        stamps = {by: dialect.get("stamp") for by, dialect in dialects.items()}
+        key = json.dumps([_plain_name(record), of_run, stamps], sort_keys=True)
+        groups[key].append(record)
+        settings[key] = of_run
+    found = []
+    for key, runs in sorted(groups.items()):
+        shown, notes = choose_runs(runs)
+        name = _plain_name(runs[0])
+        alike = [settings[other] for other, members in groups.items() if _plain_name(members[0]) == name]
+        found.append(ScoredGroup(name + _told_apart(settings[key], alike), tuple(shown), tuple(notes)))
+    return found
 
 
-def dialect_grid(name: str, runs: Sequence[ScoredRun]) -> Grid:
-    """A block a run: ours, then one line a dialect with its difference to ours."""
-    blocks = tuple(tuple(_line(run, by) for by in (OURS, *run.dialects)) for run in runs)
+def _plain_name(run: RunRecord) -> str:
+    """System, data set and sequence."""
+    dataset = run.config.get("dataset")
+    parts = [dataset.get("name"), dataset.get("sequence")] if isinstance(dataset, Mapping) else [dataset]
+    return " ".join(str(part) for part in (system_name(run.config), *parts) if part not in (None, ""))
+
+
+def _told_apart(settings: Mapping[str, str], alike: Sequence[Mapping[str, str]]) -> str:
+    """The settings in which a group differs from those of the same name, in brackets."""
+    keys = sorted({key for others in alike for key in (*others, *settings) if others.get(key) != settings.get(key)})
+    parts = {key.removesuffix(".name") for key in keys if key.endswith(".name")}
+    # What follows from another choice (a plugin's settings from its name) says nothing new.
+    told = [key for key in keys if key.endswith(".name") or key.partition(".")[0] not in parts]
+    shown = ", ".join(f"{key.removesuffix('.name')} {settings.get(key, 'not set') or 'all'}" for key in told)
+    return f" ({shown})" if shown else ""
+
+
+def dialect_grid(name: str, groups: Sequence[ScoredGroup]) -> Grid:
+    """A block a group: ours, then one line a dialect with its difference to ours."""
+    blocks = tuple(tuple(_line(group, by) for by in (OURS, *group.dialects)) for group in groups)
     title = "The same runs by the rules of other systems' evaluators"
     return Grid(name, title, tuple(heading(metric) for metric in METRICS), blocks, has_metric_column=False)
 
 
-def dialect_notes(runs: Sequence[ScoredRun], not_scored: int, views: str, problems: Sequence[str]) -> list[str]:
+def dialect_notes(groups: Sequence[ScoredGroup], not_scored: int, views: str, problems: Sequence[str]) -> list[str]:
     """How to read the table, the rules of each dialect, our protocol, and why numbers are missing."""
     notes = [_LEGEND.format(views=_VIEWS[views])]
     users: dict[str, list[str]] = {}
-    for run in runs:
-        for by, dialect in run.dialects.items():
-            users.setdefault(f"Rules of {by}: {_in_words(dialect.get('stamp'))}.", []).append(run.name)
+    for group in groups:
+        for by, dialect in group.dialects.items():
+            users.setdefault(f"Rules of {by}: {_in_words(dialect.get('stamp'))}.", []).append(group.name)
     # Runs that were scored alike share a line; the names stand there only where they were not.
     by_dialect = [rules.partition(":")[0] for rules in users]
     for rules, names in users.items():
         alone = by_dialect.count(rules.partition(":")[0]) == 1
         notes.append(rules if alone else f"{', '.join(names)}: {rules}")
-    for run in runs:
-        counts = ", ".join(f"{by} {dialect.get('n_views')}" for by, dialect in run.dialects.items())
-        notes.append(f"{run.name}: views scored: {counts}.")
-    notes += footnotes([Row({"run": run.name}, dict(run.record.protocol), run.record.notes) for run in runs])
+    for group in groups:
+        counts = ", ".join(f"{by} {group.views(by)}" for by in group.dialects)
+        seeds = ", ".join(str(run.seed) for run in group.runs)
+        notes.append(f"{group.name}: {group.runs[0].frames} frames; seeds {seeds}; views scored: {counts}.")
+        notes += [f"{group.name}: {note}." for note in group.notes]
+    if made := made_in_words([run for group in groups for run in group.runs]):
+        notes.append(f"Made {'; '.join(made)}.")
+    of_runs = ((f"{group.name}, seed {run.seed}", run) for group in groups for run in group.runs)
+    notes += footnotes([Row({"run": name}, dict(run.protocol), run.notes) for name, run in of_runs])
     how = "add the evaluator 'dialects' to evaluator=[...] of the run"
-    if not runs:
+    if not groups:
         notes.append(f"No run here was scored by dialects; {how}.")
     elif not_scored:
         count = "1 run was" if not_scored == 1 else f"{not_scored} runs were"
@@ -105,35 +160,41 @@ def _in_words(stamp: Any) -> str:
     return "; ".join(f"{key}: {value}" for key, value in rules if not key.endswith("sha256")) or "not known"
 
 
-def dialect_csv(runs: Sequence[ScoredRun], folder: Path) -> str:
-    """One row a number with full digits, empty where not known; ``folder`` of a run is relative to ``folder``."""
+def dialect_csv(groups: Sequence[ScoredGroup], folder: Path) -> str:
+    """One row a number with full digits, empty where not known; ``runs`` lie relative to ``folder``, as ``seeds``."""
     text = io.StringIO()
     writer = csv.DictWriter(text, CSV_COLUMNS, restval="", lineterminator="\n")
     writer.writeheader()
-    for run in runs:
-        for by in (OURS, *run.dialects):
+    for group in groups:
+        for by in (OURS, *group.dialects):
             for metric in METRICS:
-                value, difference = run.value(by, metric), run.difference(by, metric)
-                row: dict[str, Any] = {"run": run.name, "by": by, "metric": metric.key, "unit": metric.unit}
-                row |= {} if by == OURS else {"n_views": run.dialects[by].get("n_views")}
-                row |= {} if value is None else {"value": repr(value)}
+                found, difference = group.mean(by, metric), group.difference(by, metric)
+                row: dict[str, Any] = {"of": group.name, "by": by, "metric": metric.key, "unit": metric.unit}
+                row |= {} if by == OURS else {"n_views": group.views(by)}
+                if found is not None:
+                    row |= {"value": repr(found.mean), "n": found.n}
+                    row |= {"std": "" if found.std is None else repr(found.std)}
                 row |= {} if difference is None else {"difference": repr(difference)}
-                writer.writerow(row | {"folder": relative(run.record.folder, folder)})
+                row["seeds"] = " ".join(str(run.seed) for run in group.runs)
+                writer.writerow(row | {"runs": " ".join(relative(run.source, folder) for run in group.runs)})
     return text.getvalue()
 
 
-def _line(run: ScoredRun, by: str) -> Line:
-    return Line(by, run.name, None, tuple(_cell(run, by, metric) for metric in METRICS))
+def _line(group: ScoredGroup, by: str) -> Line:
+    return Line(by, group.name, None, tuple(_cell(group, by, metric) for metric in METRICS))
 
 
-def _cell(run: ScoredRun, by: str, metric: Metric) -> GridCell:
-    value, difference = run.value(by, metric), run.difference(by, metric)
-    if value is None:
+def _cell(group: ScoredGroup, by: str, metric: Metric) -> GridCell:
+    found, difference = group.mean(by, metric), group.difference(by, metric)
+    if found is None:
         return GridCell(UNKNOWN)
-    text = f"{value:.{metric.decimals}f}"
+    text = f"{found.mean:.{metric.decimals}f}"
+    text += "" if found.std is None else f" ± {found.std:.{metric.decimals}f}"
     if difference is not None:
         # No minus before a difference that rounds to 0.
         rounded = round(difference, metric.decimals) or 0.0
         text += f" ({rounded:+.{metric.decimals}f})".replace("-", MINUS)
-    runs = ((run.record.seed, run.record.folder),) if by == OURS else ()
-    return GridCell(text, value=value, runs=runs)
+    runs = tuple((run.seed, run.source) for run in group.runs) if by == OURS else ()
+    # The number of runs stands on our line, and where a dialect could score fewer.
+    n = found.n if by == OURS or found.n < len(group.runs) else 0
+    return GridCell(text, n, value=found.mean, runs=runs)

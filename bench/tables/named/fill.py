@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import json
-import math
-from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from bench.runs.config_file import NO_PART_OF_THE_RUN
+from bench.tables.kept.record import RunRecord
 from bench.tables.named.definitions import Metric, NamedTable
+from bench.tables.named.foreign import with_foreign_rows
 from bench.tables.named.overrides import row_of
 from bench.tables.named.published import SequenceFacts, read_sequences
-from bench.tables.named.records import RunRecord
+from bench.tables.named.settings import (
+    Settings,
+    common,
+    differing_keys,
+    first_few,
+    scored_config,
+    settings_of,
+    varied_parts,
+)
 
 Place = tuple[str, str]
 """A row's label and a sequence."""
-Settings = dict[str, str]
-"""Dotted names of a config's values, and the values as text."""
-
-# What may differ between runs whose numbers are averaged or compared: keys, and whole parts of the config.
-_FREE = {"seed", "dataset.sequence", "dataset.root"}
-_FREE_PARTS = (*NO_PART_OF_THE_RUN, "evaluator")
-# Choosing a system chooses these too.
-_OF_A_SYSTEM = ("mapper", "loss")
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,37 @@ class Statistic:
     mean: float
     std: float | None
     n: int
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A run of a cell, and the settings that its numbers were made under; ``key`` has them all."""
+
+    record: RunRecord
+    settings: Settings
+
+    @cached_property
+    def key(self) -> str:
+        return json.dumps(self.settings, sort_keys=True)
+
+
+@dataclass(frozen=True)
+class _Preference:
+    """Which settings a cell shows: ``ranks`` of the common ones, in how many cells of the row all were ``used``."""
+
+    varied: set[str]
+    ranks: Mapping[str, int]
+    used: Mapping[str, int]
+    protocol: str
+
+    def __call__(self, runs: Sequence[_Found]) -> tuple[bool, bool, int, int, int, int, str]:
+        """Sorts first what is to be shown, of runs that have their settings in common."""
+        settings, key = runs[0].settings, runs[0].key
+        scored = [run.record for run in runs if run.record.values]
+        most_frames = max((record.frames for record in scored), default=0)
+        other_protocol = bool(self.protocol) and settings.get("protocol.name") != self.protocol
+        rank = self.ranks[common(settings, self.varied)]
+        return not scored, other_protocol, rank, -most_frames, -self.used[key], -len(scored), key
 
 
 @dataclass(frozen=True)
@@ -72,13 +104,19 @@ class FilledCell:
 class FilledTable:
     """A table's definition, what the paper says of its sequences, and its cells that have runs.
 
-    ``left_out`` counts runs of this data set that belong to no cell.
+    ``left_out`` counts runs of this data set that belong to no cell. ``protocol`` is the one that was preferred, or
+    empty.
     """
 
     table: NamedTable
     facts: Mapping[str, SequenceFacts]
     cells: Mapping[Place, FilledCell]
     left_out: int
+    protocol: str = ""
+
+    def has_runs(self, row: str) -> bool:
+        """Whether a cell of the row with this label has runs."""
+        return any((row, sequence) in self.cells for sequence in self.table.sequences)
 
     def average(self, row: str, metric: Metric) -> Statistic | None:
         """Over all sequences, or None where one lacks the metric.
@@ -106,101 +144,82 @@ def statistic(values: Sequence[float]) -> Statistic | None:
     return Statistic(float(np.mean(values)), std, len(values))
 
 
-def fill(table: NamedTable, records: Sequence[RunRecord]) -> FilledTable:
+def fill(table: NamedTable, records: Sequence[RunRecord], left_out: int = 0, protocol: str = "") -> FilledTable:
     """Sort runs into the table's cells and choose what each cell shows.
 
-    Where a cell has runs of several settings, those count under which most frames of the table were scored.
+    A cell shows runs of one set of settings, the protocol among them, never a mixture: first those scored under
+    ``protocol`` (a name; empty: any), then those under whose settings most frames of the table were scored.
+    ``left_out`` counts runs that are known to belong to no cell and are not among the records.
     """
+    table = with_foreign_rows(table, [record.config for record in records])
     facts = read_sequences(table.dataset)
-    found: dict[Place, list[tuple[RunRecord, Settings]]] = defaultdict(list)
-    left_out = 0
+    found: dict[Place, list[_Found]] = defaultdict(list)
     for record in records:
         place = row_of(table, record.config)
         if place is not None:
-            found[place].append((record, settings_of(record.config)))
-        elif _name_of(record.config.get("dataset")) == table.dataset:
+            found[place].append(_Found(record, settings_of(scored_config(record))))
+        elif is_of(record, table):
             left_out += 1
     varied = varied_parts(table)
     ranks = _ranks(found, varied)
     cells = {}
     for row in table.rows:
-        for sequence in table.sequences:
-            if runs := found.get((row.label, sequence)):
-                cells[row.label, sequence] = _fill_cell(runs, facts[sequence], varied, ranks)
-    return FilledTable(table, facts, cells, left_out)
+        of_row = {
+            sequence: found[row.label, sequence] for sequence in table.sequences if (row.label, sequence) in found
+        }
+        used = Counter(key for runs in of_row.values() for key in {run.key for run in runs})
+        for sequence, runs in of_row.items():
+            cells[row.label, sequence] = _fill_cell(runs, facts[sequence], _Preference(varied, ranks, used, protocol))
+    return FilledTable(table, facts, cells, left_out, protocol)
 
 
-def settings_of(config: Mapping[str, Any]) -> Settings:
-    """All that can change the result, by dotted name, except the seed and which sequence it is."""
-    return {key: str(value) for key, value in _flat(config, "") if key not in _FREE}
+def is_of(record: RunRecord, table: NamedTable) -> bool:
+    """Whether the run is on the table's data set, in one of its cells or not."""
+    return bool(_name_of(record.config.get("dataset")) == table.dataset)
 
 
-def varied_parts(table: NamedTable) -> set[str]:
-    """The parts of a config ("loss", "stereo", ...) in which the table's rows differ by intention."""
-    overrides = [row.overrides for row in table.rows if row.overrides is not None]
-    everywhere = set(overrides[0]).intersection(*overrides) if overrides else set()
-    parts = {each.split("=")[0].split(".")[0] for of_row in overrides for each in set(of_row) - everywhere}
-    return parts | set(_OF_A_SYSTEM) if "system" in parts else parts
-
-
-def common(settings: Settings, varied: Iterable[str]) -> str:
-    """The settings that all rows of a table should share, as one string."""
-    parts = set(varied)
-    return json.dumps({key: value for key, value in sorted(settings.items()) if key.split(".")[0] not in parts})
-
-
-def _ranks(found: Mapping[Place, list[tuple[RunRecord, Settings]]], varied: set[str]) -> dict[str, int]:
+def _ranks(found: Mapping[Place, list[_Found]], varied: set[str]) -> dict[str, int]:
     """Order of preference of the common settings: most frames scored over the cells, then most runs."""
     frames: dict[str, dict[Place, int]] = defaultdict(dict)
     runs: dict[str, int] = defaultdict(int)
     for place, members in found.items():
-        for record, settings in members:
-            key = common(settings, varied)
-            scored = record.frames if record.values else 0
+        for member in members:
+            key = common(member.settings, varied)
+            scored = member.record.frames if member.record.values else 0
             frames[key][place] = max(scored, frames[key].get(place, 0))
             runs[key] += 1
     ordered = sorted(runs, key=lambda key: (-sum(frames[key].values()), -runs[key], key))
     return {key: rank for rank, key in enumerate(ordered)}
 
 
-def _fill_cell(
-    runs: list[tuple[RunRecord, Settings]], facts: SequenceFacts, varied: set[str], ranks: Mapping[str, int]
-) -> FilledCell:
-    variants: dict[str, list[RunRecord]] = defaultdict(list)
-    settings_by_key: dict[str, Settings] = {}
-    for record, settings in runs:
-        key = json.dumps(settings, sort_keys=True)
-        variants[key].append(record)
-        settings_by_key[key] = settings
-
-    def preference(key: str) -> tuple[bool, int, int, int, str]:
-        scored = [record for record in variants[key] if record.values]
-        most_frames = max((record.frames for record in scored), default=0)
-        return not scored, ranks[common(settings_by_key[key], varied)], -most_frames, -len(scored), key
-
-    best, *others = sorted(variants, key=preference)
-    shown, notes = _choose_runs(variants[best])
+def _fill_cell(runs: list[_Found], facts: SequenceFacts, preference: _Preference) -> FilledCell:
+    variants: dict[str, list[_Found]] = defaultdict(list)
+    for run in runs:
+        variants[run.key].append(run)
+    best, *others = sorted(variants.values(), key=preference)
+    records = [run.record for run in best]
+    shown, notes = choose_runs(records)
     if others:
-        left = sum(len(variants[key]) for key in others)
-        differing = _differing([settings_by_key[key] for key in variants])
+        left = sum(len(variant) for variant in others)
+        differing = differing_keys([variant[0].settings for variant in variants.values()])
         notes.append(
-            f"{left} {'run' if left == 1 else 'runs'} with other settings ({_some(differing)}) not shown; "
+            f"{left} {'run' if left == 1 else 'runs'} with other settings ({first_few(differing)}) not shown; "
             "name run folders to choose"
         )
-    state = "" if shown else _state_of(variants[best])
+    state = "" if shown else _state_of(records)
     is_part = bool(shown) and facts.is_part(shown[0].frames)
-    unscored = sorted((run for run in variants[best] if not run.values), key=lambda run: (run.seed, str(run.folder)))
-    return FilledCell(tuple(shown), state, is_part, settings_by_key[best], tuple(notes), tuple(unscored))
+    unscored = sorted((run for run in records if not run.values), key=lambda run: (run.seed, run.name))
+    return FilledCell(tuple(shown), state, is_part, best[0].settings, tuple(notes), tuple(unscored))
 
 
-def _choose_runs(runs: list[RunRecord]) -> tuple[list[RunRecord], list[str]]:
-    """One scored run a seed, all over the same frames; and notes on the others."""
+def choose_runs(runs: list[RunRecord]) -> tuple[list[RunRecord], list[str]]:
+    """Of runs that differ in their seed alone: one scored run a seed, all over the same frames; notes on the others."""
     scored = [run for run in runs if run.values]
     frames = max((run.frames for run in scored), default=0)
     by_seed: dict[int, RunRecord] = {}
     repeated: dict[int, int] = defaultdict(int)
     notes = []
-    for run in sorted(runs, key=lambda run: (run.seed, run.state != "done", str(run.folder))):
+    for run in sorted(runs, key=lambda run: (run.seed, run.state != "done", run.name)):
         if run.values and run.frames == frames:
             by_seed.setdefault(run.seed, run)
             repeated[run.seed] += 1
@@ -209,7 +228,7 @@ def _choose_runs(runs: list[RunRecord]) -> tuple[list[RunRecord], list[str]]:
         else:
             notes.append(f"seed {run.seed}: {'not scored' if run.state == 'done' else run.state}{_because(run)}")
     notes += [
-        f"seed {seed} was run {times} times; {by_seed[seed].folder.name} is shown"
+        f"seed {seed} was run {times} times; {by_seed[seed].name} is shown"
         for seed, times in repeated.items()
         if times > 1
     ]
@@ -238,37 +257,27 @@ def differences(filled: FilledTable) -> list[str]:
     found: set[str] = set()
     for row in filled.table.rows:
         of_row = [cell.settings for (label, _), cell in filled.cells.items() if label == row.label]
-        found.update(_differing(of_row))
-    everywhere = [cell.settings for cell in filled.cells.values()]
-    found.update(key for key in _differing(everywhere) if key.split(".")[0] not in varied)
+        found.update(differing_keys(of_row))
+    everywhere = [cell.settings for cell in filled.cells.values() if not _is_foreign(cell)]
+    # Other systems share no more than the data and the protocol with ours.
+    of_all = [_data_and_protocol(cell.settings) for cell in filled.cells.values()]
+    found.update(differing_keys(of_all))
+    found.update(key for key in differing_keys(everywhere) if key.split(".")[0] not in varied)
     texts = []
     for key in sorted(found):
-        values = sorted({cell.settings.get(key, "not set") for cell in filled.cells.values()})
-        texts.append(f"{key} ({_some([value or 'empty' for value in values])})")
+        cells = [cell for cell in filled.cells.values() if key in cell.settings or not _is_foreign(cell)]
+        values = sorted({cell.settings.get(key, "not set") for cell in cells})
+        texts.append(f"{key} ({first_few([value or 'empty' for value in values])})")
     return texts
 
 
-def _differing(several: Sequence[Settings]) -> list[str]:
-    keys = {key for settings in several for key in settings}
-    return sorted(key for key in keys if len({settings.get(key) for settings in several}) > 1)
+def _is_foreign(cell: FilledCell) -> bool:
+    return "foreign.name" in cell.settings
 
 
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+def _data_and_protocol(settings: Settings) -> Settings:
+    return {key: value for key, value in settings.items() if key.partition(".")[0] in ("dataset", "protocol")}
 
 
 def _name_of(part: Any) -> Any:
     return part.get("name") if isinstance(part, Mapping) else part
-
-
-def _flat(config: Mapping[str, Any], prefix: str) -> Iterable[tuple[str, Any]]:
-    for key, value in config.items():
-        if not prefix and key in _FREE_PARTS:
-            continue
-        if isinstance(value, dict) and value:
-            yield from _flat(value, f"{prefix}{key}.")
-        elif isinstance(value, float) and math.isfinite(value) and value == int(value):
-            # 1 and 1.0 are one setting.
-            yield f"{prefix}{key}", int(value)
-        else:
-            yield f"{prefix}{key}", value

@@ -23,7 +23,7 @@ WITHHELD = "withheld"
 @dataclass(frozen=True)
 class GridCell:
     """What a cell shows. ``value`` is the number behind it where there is one, a mean over ``n`` runs of ours;
-    ``runs`` are seed and folder of each."""
+    ``runs`` are the seed of each, and what leads to it."""
 
     text: str = ""
     n: int = 0
@@ -108,7 +108,8 @@ class _Builder:
 
     def block(self, row: MethodRow) -> list[Line]:
         """Lines of a method: ours above the paper's, metric by metric."""
-        ours = self._lines(OURS, row.label, lambda slot: self._our_cell(row, slot)) if row.overrides else []
+        can_have_ours = row.overrides or self._filled.has_runs(row.label)
+        ours = self._lines(OURS, row.label, lambda slot: self._our_cell(row, slot)) if can_have_ours else []
         compared = row.published or row.compared_with
         by = PAPER if row.published else COMPARED
         paper = self._lines(by, row.label, lambda slot: self._paper_cell(row, compared, slot))
@@ -147,7 +148,7 @@ class _Builder:
         cell = self._filled.cells.get((row.label, slot.sequence))
         if cell is None:
             return GridCell(WITHHELD if self._filled.facts[slot.sequence].withheld else "")
-        runs = tuple((run.seed, run.folder) for run in cell.shown or cell.without_numbers)
+        runs = tuple((run.seed, run.source) for run in cell.shown or cell.without_numbers)
         if not cell.shown:
             return GridCell(CROSS if cell.state == "out of memory" else cell.state, runs=runs)
         if slot.metric.key == "peak_memory_gb" and any(run.state == "out of memory" for run in cell.shown):
@@ -159,7 +160,7 @@ class _Builder:
         """The paper's number, and in brackets how far ours is from it; a dagger is on the method's name."""
         published = self._published_at(method, slot)
         shown = _published_cell(published)
-        ours = self._our_cell(row, slot).value if row.overrides else None
+        ours = self._our_cell(row, slot).value
         if published is None or shown.value is None or ours is None:
             return shown
         decimals = len(published.value.partition(".")[2])

@@ -6,11 +6,12 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 from bench.tables.collect import Row
+from bench.tables.kept.made import made_in_words
+from bench.tables.kept.record import RunRecord
 from bench.tables.named.definitions import NamedTable
 from bench.tables.named.fill import FilledTable, differences
 from bench.tables.named.grid import CROSS, DAGGER, Grid, PublishedNumbers
 from bench.tables.named.published import AVERAGE, PublishedValue
-from bench.tables.named.records import RunRecord
 from bench.tables.render import footnotes
 
 # Of a run's settings, what a reader wants to know first; the rest is in each run's config.yaml.
@@ -39,11 +40,15 @@ def notes(
     found += [table.about] if table.about else []
     found += _withheld(filled)
     found += _parts(filled)
+    found += _protocols(filled)
     found += _settings(filled)
+    found += _foreign(filled)
     if different := differences(filled):
         found.append(f"Settings that differ between cells that are compared: {', '.join(different)}.")
     shown = _shown_runs(filled)
     if shown:
+        if made := made_in_words([run for _, run in shown]):
+            found.append(f"Made {'; '.join(made)}.")
         rows = [Row({"run": where}, dict(run.protocol), run.notes) for where, run in shown]
         found += footnotes(rows)
     found += [f"{row}, {sequence}: {note}." for (row, sequence), cell in filled.cells.items() for note in cell.notes]
@@ -86,6 +91,22 @@ def _parts(filled: FilledTable) -> list[str]:
     return [f"{DAGGER} {amount}: {', '.join(rows)}." for amount, rows in by_amount.items()]
 
 
+def _protocols(filled: FilledTable) -> list[str]:
+    """Which of our cells were scored under another protocol than the table's, or that none was."""
+    if not filled.protocol:
+        return []
+    cells: dict[str, list[str]] = defaultdict(list)
+    for (row, sequence), cell in filled.cells.items():
+        if cell.shown:
+            cells[cell.settings.get("protocol.name", "unknown")].append(f"{row} {sequence}")
+    if set(cells) <= {filled.protocol}:
+        return [f"Our numbers are by protocol {filled.protocol}."] if cells else []
+    if len(cells) == 1:
+        return [f"All our numbers are by protocol {name}, not {filled.protocol}." for name in cells]
+    others = ((name, places) for name, places in sorted(cells.items()) if name != filled.protocol)
+    return [f"By protocol {name}, not {filled.protocol}: {', '.join(places)}." for name, places in others]
+
+
 def _settings(filled: FilledTable) -> list[str]:
     """One line for each set of settings, with the methods that used it."""
     users: dict[str, list[str]] = defaultdict(list)
@@ -96,6 +117,12 @@ def _settings(filled: FilledTable) -> list[str]:
         if row not in users[text]:
             users[text].append(row)
     return [f"Settings of {', '.join(rows)}: {text}." for text, rows in users.items()]
+
+
+def _foreign(filled: FilledTable) -> list[str]:
+    """Which rows are scores of what other systems wrote."""
+    rows = dict.fromkeys(row for (row, _), cell in filled.cells.items() if "foreign.name" in cell.settings)
+    return [f"Scored here from the systems' own output: {', '.join(rows)}."] if rows else []
 
 
 def _shown_runs(filled: FilledTable) -> list[tuple[str, RunRecord]]:

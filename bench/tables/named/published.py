@@ -41,6 +41,10 @@ class PublishedValue:
         return float(self.value) if self.value else None
 
 
+# Of KITTI-360 the paper counts images. About every tenth, and the last of some sequences, have no pose.
+_LEAST_WITH_POSE = {"kitti360": 0.8}
+
+
 @dataclass(frozen=True)
 class SequenceFacts:
     """Length in km and number of frames of a sequence as the paper has them; frames may be rounded.
@@ -57,7 +61,7 @@ class SequenceFacts:
 
     def is_part(self, frames: int) -> bool:
         """Whether so many frames are not the whole sequence."""
-        return frames < self.frames - self.frames_rounded_to / 2
+        return frames < _LEAST_WITH_POSE.get(self.dataset, 1.0) * (self.frames - self.frames_rounded_to / 2)
 
 
 def published_folder() -> Path:

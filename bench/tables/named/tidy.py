@@ -50,7 +50,7 @@ def as_csv(filled: FilledTable, published: PublishedNumbers, folder: Path) -> st
         writer.writerow(_published_row(value, "elsewhere"))
     table = filled.table
     for row in table.rows:
-        if row.overrides is None:
+        if row.overrides is None and not filled.has_runs(row.label):
             continue
         for metric in table.metrics:
             for sequence in table.sequences:
@@ -93,7 +93,7 @@ def _our_row(
             "frames": str(cell.frames) if cell.shown else "",
             "frames_of_sequence": str(filled.facts[sequence].frames),
             "protocol": " ".join(sorted({str(run.protocol.get("name", "")) for run in cell.shown})),
-            "runs": " ".join(relative(run.folder, folder) for run in runs),
+            "runs": " ".join(relative(run.source, folder) for run in runs),
         }
     )
 

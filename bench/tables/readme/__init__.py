@@ -1,0 +1,1 @@
+"""The tables in README.md, made from what is kept in ``results/tables``."""
