@@ -14,12 +14,16 @@ from bench.cache.store import KINDS, CacheStore, File
 
 def add_parser(subparsers: Any) -> None:
     """Register the command with the parser that ``bgs-bench`` builds."""
-    parser = subparsers.add_parser("cache", help="the disk cache of depth maps, sky masks and trajectories: what it holds, clear it")
+    parser = subparsers.add_parser(
+        "cache", help="the disk cache of depth maps, sky masks and trajectories: what it holds, clear it"
+    )
     actions = parser.add_subparsers(required=True, metavar="ACTION")
     info = actions.add_parser("info", help="entries and size of each plugin")
     info.set_defaults(run=_info)
     clear = actions.add_parser("clear", help="remove the entries")
-    clear.add_argument("--kind", choices=KINDS, help="only depth maps (stereo), sky masks (sky) or trajectories (tracker)")
+    clear.add_argument(
+        "--kind", choices=KINDS, help="only depth maps (stereo), sky masks (sky) or trajectories (tracker)"
+    )
     clear.set_defaults(run=_clear)
     for action in (info, clear):
         action.add_argument("--folder", help=f"cache.folder of your runs; default: {default_folder()}")

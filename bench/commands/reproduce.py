@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import signal
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from bench.errors import BenchError
-from bench.runs.atomic import write_text
 from bench.runs.config_file import CONFIG_FILE
-from bench.sweeps.gpus import gpus_of_this_machine
+from bench.sweeps.launchers import count_of_jobs, split_launcher
 from bench.sweeps.lookup import look_up
+from bench.sweeps.make import make_runs
 from bench.sweeps.plan import Plan, make_plan
-from bench.sweeps.sweep import Choice, Sweep
+from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView
 from bench.tables.named.definitions import SEEDS, TABLES, named_table
 from bench.tables.named.records import VIEW_GROUPS
-from bench.tables.named.table import FORMATS, make_table
+from bench.tables.named.table import make_table
 
 _EXAMPLES = """examples:
   bgs-bench reproduce ablation dataset.root=DIR
   bgs-bench reproduce backbones dataset.root=DIR dataset.frames=0:10 mapper.iterations=8 --seeds 0 --jobs 2
+  bgs-bench reproduce main_kitti dataset.root=DIR launcher=ray hydra.launcher.ray.init.address=auto
   bgs-bench reproduce main_kitti dataset.root=DIR --dry-run
 
 Killed or stopped, the same command goes on where it was. A run is whole or made again; those that are there stay."""
@@ -49,7 +46,7 @@ def add_parser(subparsers: Any) -> None:
         "--missing", action="store_true", help="only runs without a folder; default: also those stopped or killed"
     )
     parser.add_argument("--rerun-failed", action="store_true", help="also those that failed")
-    parser.add_argument("--jobs", type=_jobs, default=1, metavar="N", help="so many at once (default: 1)")
+    parser.add_argument("--jobs", type=count_of_jobs, metavar="N", help="so many at once (default: 1)")
     parser.add_argument("--dry-run", action="store_true", help="say what would be run, in which order, and stop")
     parser.add_argument(
         "--out", type=Path, default=Path("results/tables"), metavar="FOLDER", help="default: results/tables"
@@ -64,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
     Raises ``BenchError`` for wrong input, before anything is run.
     """
     table = named_table(args.table)
-    plan = make_plan(table, args.overrides, args.seeds)
+    overrides, launcher = split_launcher(args.overrides, args.jobs)
+    plan = make_plan(table, overrides, args.seeds)
     choice = Choice(interrupted=not args.missing, failed=args.rerun_failed)
     console = Console()
     if args.dry_run:
@@ -72,13 +70,12 @@ def run(args: argparse.Namespace) -> int:
         return 0
     _say_skipped(plan, console)
     wanted = [planned for planned in plan.runs if choice.wants(look_up(planned.folder).progress)]
-    _say(f"{table.name}: {len(plan.runs)} runs, {len(wanted)} to make, {args.jobs} at once, in {plan.root}", console)
-    if args.jobs > 1 and any(metric.unit == "s/frame" for metric in table.metrics):
-        _say("note: runs that share the cores are slower; for times to publish leave out --jobs", console)
-    view = SweepView(console, table.name, len(wanted), args.jobs)
+    how = f"{launcher.at_once} at once" if launcher.at_once else "as many at once as the cluster gives"
+    _say(f"{table.name}: {len(plan.runs)} runs, {len(wanted)} to make, {how}, in {plan.root}", console)
+    if launcher.at_once != 1 and any(metric.unit == "s/frame" for metric in table.metrics):
+        _say("note: runs that share the cores are slower; for times to publish make one at once", console)
     try:
-        with _terminate_as_interrupt(), view:
-            Sweep(wanted, args.jobs, choice, view, gpus_of_this_machine()).run()
+        make_runs(plan, launcher, choice, SweepView(console, table.name, plan.runs, launcher.at_once))
     except KeyboardInterrupt:
         _say(f"stopped; {_counted(plan)}. The same command goes on from there.", console)
         return 130
@@ -95,12 +92,6 @@ def _seeds(text: str) -> tuple[int, ...]:
     if min(seeds) < 0 or len(set(seeds)) < len(seeds):
         raise argparse.ArgumentTypeError(f"{text!r} must hold different numbers, 0 or more")
     return seeds
-
-
-def _jobs(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at least 1")
-    return int(text)
 
 
 def _show(plan: Plan, choice: Choice, console: Console) -> None:
@@ -131,13 +122,7 @@ def _write_table(name: str, plan: Plan, args: argparse.Namespace, console: Conso
         return
     table = make_table(name, folders, args.views)
     table.print(console)
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BenchError(f"Can't make the folder of --out {args.out}: {error.strerror}. Give another place.") from error
-    for form in FORMATS:
-        file = args.out / f"{name}.{form}"
-        write_text(file, table.text(form, file.parent))
+    for file in table.write(args.out):
         _say(f"wrote {file}", console)
 
 
@@ -149,17 +134,3 @@ def _counted(plan: Plan) -> str:
 
 def _say(text: str, console: Console) -> None:
     console.print(text, markup=False, highlight=False, soft_wrap=True)
-
-
-@contextmanager
-def _terminate_as_interrupt() -> Iterator[None]:
-    """A polite kill (SIGTERM) ends the sweep like Ctrl-C."""
-
-    def interrupt(signum: int, frame: Any) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

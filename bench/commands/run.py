@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import traceback
 from pathlib import Path
 from typing import Any
 
-import hydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from bench.config import RunConfig, compose_run, compose_sweep, config_folder, resolved, with_home
-from bench.discovery import load_plugins
+from bench.config import RunConfig, compose_run
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
+from bench.runs.config_file import CONFIG_FILE
 from bench.runs.folder import LOG_FILE
 from bench.runs.lock import only_one
 from bench.runs.status import read_status
-from bench.sweeps.experiment import EXPERIMENT, expand_experiment
+from bench.sweeps.combinations import plan_combinations, require_writable
+from bench.sweeps.experiment import EXPERIMENT
+from bench.sweeps.launchers import count_of_jobs, split_launcher
+from bench.sweeps.lookup import look_up
+from bench.sweeps.make import make_runs
+from bench.sweeps.sweep import Choice
+from bench.sweeps.view import SweepView
 from bench.system import run_system
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
@@ -30,17 +34,9 @@ _EXAMPLES = """examples:
   bgs-bench run
   bgs-bench run dataset=kitti dataset.root=DIR dataset.sequence=06 dataset.frames=0:10 stereo=sgbm output=runs/kitti06
   bgs-bench run -m seed=0,1,2 system=bgs_slam,bgs_slam_paper
-  bgs-bench run -m experiment=ablation dataset.root=DIR seed=0,1,2
+  bgs-bench run -m experiment=ablation dataset.root=DIR seed=0,1,2 --jobs 2
+  bgs-bench run -m seed=0,1,2 launcher=slurm hydra.launcher.partition=gpu
 """
-
-# Hydra keeps its own folders and logs out of the way: run folders are ours.
-_QUIET_HYDRA = [
-    "hydra.run.dir=.",
-    "hydra.sweep.subdir=.",
-    "hydra.output_subdir=null",
-    "hydra/job_logging=none",
-    "hydra/hydra_logging=none",
-]
 
 
 def add_parser(subparsers: Any) -> None:
@@ -53,6 +49,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="what differs from conf/config.yaml")
     parser.add_argument("-m", "--multirun", action="store_true", help="run every combination of the values given")
+    parser.add_argument("--jobs", type=count_of_jobs, metavar="N", help="with -m: so many at once (default: 1)")
     parser.add_argument("--print-config", action="store_true", help="print the composed config and stop")
     parser.set_defaults(run=run)
 
@@ -61,9 +58,11 @@ def run(args: argparse.Namespace) -> int:
     """Compose, run, score and print; with ``-m`` every combination, each in its own folder."""
     console = Console()
     if args.multirun:
-        return _multirun(args.overrides, console)
+        return _multirun(args, console)
     if any(override.startswith(EXPERIMENT) for override in args.overrides):
         raise BenchError("experiment= stands for many runs; add -m.")
+    if args.jobs is not None or any(override.startswith("launcher=") for override in args.overrides):
+        raise BenchError("launcher= and --jobs are for many runs; add -m.")
     config = compose_run(args.overrides)
     if args.print_config:
         print(OmegaConf.to_yaml(OmegaConf.create(config.values)), end="")
@@ -132,45 +131,19 @@ def _failure(error: Exception, folder: Path) -> str:
     return f"The run failed: {type(error).__name__}: {text} (line {raised.lineno} of {raised.filename}{log_file})"
 
 
-def _multirun(overrides: list[str], console: Console) -> int:
-    """Hydra's multirun: every combination of the swept values runs in its own folder; one that fails stops no other."""
-    sweeps = expand_experiment(with_home(overrides))
-    # All are composed before the first is run, so that a wrong value is known at once.
-    composed = [compose_sweep(each) for each in sweeps]
-    sweep_folder = _sweep_folder(composed[0][0])
-    finished: list[Path] = []
-    failed: list[str] = []
-
-    def job(composed: DictConfig) -> None:
-        load_plugins(list(composed.plugins))  # a launcher's worker process starts with empty registries
-        try:
-            config = resolved(composed)
-            if config.values["output"]:
-                config.values["output"] = str(Path(config.values["output"]) / config.hash)
-            finished.append(_run_one(config, console))
-        except BenchError as error:
-            failed.append(str(error))
-            console.print(f"failed: {error}", style="red", markup=False)
-
-    before = sys.argv
-    quoted = str(sweep_folder).replace("'", "\\'")
+def _multirun(args: argparse.Namespace, console: Console) -> int:
+    """Every combination of the swept values, each in its own folder and process; one that fails stops no other."""
+    overrides, launcher = split_launcher(args.overrides, args.jobs)
+    plan = plan_combinations(overrides)
+    require_writable(plan.root)
+    rerun = any(planned.config.values["rerun"] for planned in plan.runs)
+    view = SweepView(console, "sweep", plan.runs, launcher.at_once)
     try:
-        for each in sweeps:
-            sys.argv = ["bgs-bench run", "--multirun", *each, *_QUIET_HYDRA, f"hydra.sweep.dir='{quoted}'"]
-            hydra.main(config_path=str(config_folder().resolve()), config_name="config", version_base="1.3")(job)()
-    finally:
-        sys.argv = before
-    print_table([collect_row(path) for path in finished], console)
-    return 1 if failed else 0
-
-
-def _sweep_folder(first: RunConfig) -> Path:
-    """Where the run folders of a sweep and Hydra's multirun.yaml go; made here, where the error is one line."""
-    folder = Path(first.values["output"] or "results/runs")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BenchError(
-            f"Can't make the folder {folder}: {error.strerror}. Give output= a place that you may write to."
-        ) from error
-    return folder
+        make_runs(plan, launcher, Choice(failed=True, finished=rerun), view)
+    except KeyboardInterrupt:
+        console.print("stopped; the same command goes on from there.", soft_wrap=True)
+        return 130
+    folders = [planned.folder for planned in plan.runs if (planned.folder / CONFIG_FILE).is_file()]
+    if folders:
+        print_table([collect_row(folder) for folder in folders], console)
+    return 0 if all(look_up(planned.folder).progress == "finished" for planned in plan.runs) else 1

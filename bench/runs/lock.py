@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench.errors import BenchError
+from bench.runs.config_file import CONFIG_FILE
 
 LOCK_FILE = ".lock"
 
@@ -25,11 +26,13 @@ def only_one(folder: Path, on_wait: Callable[[str], None]) -> Iterator[None]:
     where the folder can't be made.
     """
     made = [path for path in (folder, *folder.parents) if not path.exists()]
+    ours = not (folder / LOCK_FILE).exists()
     file = _locked(folder, on_wait)
     try:
         yield
     finally:
-        _remove_if_empty(folder, made)
+        if ours and not (folder / CONFIG_FILE).exists():
+            _remove(folder, made)
         os.close(file)
 
 
@@ -73,11 +76,9 @@ def _acquire(file: int, folder: Path, on_wait: Callable[[str], None]) -> None:
         log.debug("the lock file of %s can't be written: those who wait won't be told for whom", folder)
 
 
-def _remove_if_empty(folder: Path, made: list[Path]) -> None:
-    """Wrong input is found before anything is written: then the folder, and those above it, go as they came."""
+def _remove(folder: Path, made: list[Path]) -> None:
+    """No run came of it, as when the input is wrong: the lock goes, and the folders that were made for it."""
     try:
-        if not made or {entry.name for entry in folder.iterdir()} != {LOCK_FILE}:
-            return
         (folder / LOCK_FILE).unlink()
         for path in made:
             path.rmdir()

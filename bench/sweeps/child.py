@@ -8,38 +8,27 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from bench.errors import BenchError
 from bench.runs.status import read_status, write_status
 from bench.sweeps.claim import Claim, claim_path
+from bench.sweeps.job import Job, Outcome
 from bench.sweeps.lookup import Found, look_up
-from bench.sweeps.plan import PlannedRun
+from bench.sweeps.oom_kills import oom_kills
 
-# Signals that someone, or a system short of memory, sends; any other that ends a process is its own fault.
-_SENT = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended and after how many seconds; ``found`` is what its folder says now, or what went wrong before."""
-
-    planned: PlannedRun
-    found: Found
-    seconds: float
-
-
-def command_of(planned: PlannedRun) -> list[str]:
-    """The command line that makes this run."""
-    return [sys.executable, "-m", "bench.cli", "run", *planned.overrides]
+# Signals that someone, a system short of memory, or a cluster at a job's time limit sends; any other is the fault
+# of the process that it ends.
+_SENT = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2)
+_OUT_OF_MEMORY = "the system ended it for want of memory"
 
 
 def environment_of(slot: int, jobs: int, gpus: Sequence[str]) -> dict[str, str]:
     """Environment of the run in a slot (0 to jobs - 1): its share of the cores, and a GPU by turns.
 
     The rasterizer's threads follow ``OMP_NUM_THREADS``, so that a run's config, and its folder, are the same for any
-    number of jobs.
+    number of jobs. With more jobs than GPUs some share one.
     """
     environment = dict(os.environ)
     if jobs > 1:
@@ -51,31 +40,33 @@ def environment_of(slot: int, jobs: int, gpus: Sequence[str]) -> dict[str, str]:
 
 
 class Child:
-    """A started run; ``claim`` is held until its end has been read.
+    """A started run; ``claim`` is held until its end has been read. It inherits the files ``held`` too (locks).
 
     Raises ``BenchError`` where the process can't be started; the claim is then still the caller's.
     """
 
-    def __init__(self, planned: PlannedRun, claim: Claim, environment: dict[str, str]) -> None:
-        self.planned = planned
+    def __init__(self, job: Job, claim: Claim, environment: dict[str, str], held: Sequence[int] = ()) -> None:
+        self.job = job
         self.started = time.monotonic()
         self._claim = claim
-        self._log = claim_path(planned.folder, "log")
+        self._log = claim_path(job.folder, "log")
+        self._oom_kills = oom_kills()
         try:
             with open(self._log, "wb") as log:
                 # A group of its own: a Ctrl-C in the terminal reaches the sweep alone, which then ends its runs.
                 self._process = subprocess.Popen(
-                    command_of(planned),
+                    [sys.executable, *job.arguments],
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,
                     env=environment,
-                    pass_fds=[claim.fd],
+                    cwd=job.cwd,
+                    pass_fds=[claim.fd, *held],
                     process_group=0,
                 )
         except OSError as error:
             raise BenchError(
-                f"Can't start {planned.label}: {error}. Check the free memory and the place of {self._log}."
+                f"Can't start {job.label}: {error}. Check the free memory and the place of {self._log}."
             ) from error
         try:
             claim.note(self._process.pid)
@@ -107,34 +98,50 @@ class Child:
         """Read how it ended, complete the run's status where it could not, and let go of the claim. Call it once."""
         code = self._process.wait()
         try:
-            return Outcome(self.planned, self._found(code), self.seconds)
+            return Outcome(self.job, self._found(code), self.seconds)
         finally:
             self._claim.release()
 
     def _found(self, code: int) -> Found:
-        said = _last_words(self._log)
+        said, state = _last_words(self._log), "failed"
         if code < 0:
-            hint = ", by hand or for want of memory" if -code == signal.SIGKILL else ""
-            said = f"ended by signal {-code} ({signal.strsignal(-code)}){hint}"
-        self._complete_status(said, was_sent=-code in _SENT)
-        found = look_up(self.planned.folder)
+            said = f"ended by signal {-code} ({signal.strsignal(-code)})"
+        if -code == signal.SIGKILL and self._memory_ran_out():
+            said, state = _OUT_OF_MEMORY, "out_of_memory"
+        elif -code in _SENT:
+            said += ", by hand or for want of memory" if -code == signal.SIGKILL and self._oom_kills is None else ""
+            state = "running"
+        try:
+            self._complete_status(said, state)
+        except BenchError as error:
+            said += f" (that could not be noted in its folder: {error})"
+        found = look_up(self.job.folder)
         if found.progress == "finished":
             # A run that was already there, or that broke when all was saved.
             return found
-        if found.progress == "missing" or (found.progress == "interrupted" and code > 0 and code != 130):
-            # It never got as far as a status (wrong settings, missing weights), or its scoring failed.
-            return Found("interrupted" if -code in _SENT else "failed", said)
+        words = f"out of memory: {said}" if state == "out_of_memory" else said
+        unsaid = found.progress == "interrupted" and code < 0
+        if found.progress == "missing" or unsaid or (found.progress == "interrupted" and code not in (0, 130)):
+            # It never got as far as a status (wrong settings, missing weights), could not write it, or its scoring
+            # failed.
+            return Found("interrupted" if state == "running" else "failed", words)
         return found
 
-    def _complete_status(self, reason: str, was_sent: bool) -> None:
-        """A process that was killed, or crashed, left "running" behind: say why, and whether it failed by itself."""
+    def _memory_ran_out(self) -> bool:
+        now = oom_kills()
+        return self._oom_kills is not None and now is not None and now > self._oom_kills
+
+    def _complete_status(self, reason: str, state: str) -> None:
+        """A process that was killed, or crashed, left "running" behind: say why, and whether it failed by itself.
+
+        Raises ``BenchError`` where that can't be written.
+        """
         try:
-            status = read_status(self.planned.folder)
+            status = read_status(self.job.folder)
         except BenchError:
             return  # damaged; looking the folder up says so
         if status is not None and status.state == "running" and status.pid == self._process.pid:
-            state = "running" if was_sent else "failed"
-            write_status(self.planned.folder, replace(status, state=state, reason=reason))
+            write_status(self.job.folder, replace(status, state=state, reason=reason))
 
 
 def _last_words(log: Path) -> str:

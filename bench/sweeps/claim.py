@@ -62,6 +62,21 @@ class Claim:
         os.close(self.fd)
 
 
+def is_claimed(run_folder: Path) -> bool:
+    """Whether some process has claimed the run."""
+    try:
+        fd = os.open(claim_path(run_folder, "lock"), os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return False
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(fd)
+    return False
+
+
 def claimed_by(run_folder: Path) -> str:
     """Who has claimed the run, in words."""
     text = claim_path(run_folder, "lock").read_text().strip()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +16,10 @@ from bench.runs.status import read_status
 Progress = Literal["missing", "finished", "failed", "interrupted", "elsewhere", "out of sight"]
 """``finished``: done and scored. ``interrupted``: stopped, killed or not scored. ``elsewhere``: another process of this
 machine makes it. ``out of sight``: it says so of a process on another machine."""
+
+# A run tells how far it is about once a second, but for long steps: one of another machine that has been silent for so
+# long is dead.
+SILENT_S = 1800.0
 
 
 @dataclass(frozen=True)
@@ -42,8 +47,20 @@ def look_up(folder: Path) -> Found:
         words = [status.describe()] if status.state == "out_of_memory" else []
         return Found("failed", ": ".join([*words, *([status.reason] if status.reason else [])]))
     if status.state == "running" and status.host != socket.gethostname():
-        gone = "delete the folder if that is no longer so"
-        return Found("out of sight", f"running on {status.host}, process {status.pid}; {gone}")
+        where = f"running on {status.host}, process {status.pid}"
+        silent_s = _seconds_since(status.updated)
+        if silent_s is not None and silent_s > SILENT_S:
+            return Found("interrupted", f"{where}, but silent for {silent_s / 60:.0f} min")
+        return Found("out of sight", f"{where}; delete the folder if that is no longer so")
     if status.is_alive():
         return Found("elsewhere", f"process {status.pid}")
     return Found("interrupted", status.reason or status.describe())
+
+
+def _seconds_since(moment: str) -> float | None:
+    """Since a time in ISO 8601; None where it is none."""
+    try:
+        then = datetime.fromisoformat(moment)
+    except ValueError:
+        return None
+    return (datetime.now(UTC) - then).total_seconds() if then.tzinfo is not None else None

@@ -1,4 +1,4 @@
-"""What a named table wants to have run: its cells with their seeds, composed, in the order that fills it soonest."""
+"""What is to be run: each cell of a named table with its seeds, in the order that fills it soonest, or combinations."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from bench import registry
 from bench.config import RunConfig, check_overrides, compose_run, config_folder, resolved, with_home
 from bench.errors import BenchError
 from bench.registry import KINDS, SEVERAL_AT_ONCE
+from bench.sweeps.job import Job
 from bench.tables.collect import DEFAULT_FOLDER
 from bench.tables.named.definitions import Cell, NamedTable, cells
 from bench.tables.named.overrides import row_of
@@ -21,7 +22,10 @@ from bench.tables.named.overrides import row_of
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run of a cell. ``overrides`` are those of ``bgs-bench run``; ``frames`` is how many the data set has."""
+    """One run of a cell. ``overrides`` are those of ``bgs-bench run``; ``frames`` is how many the data set has, or 0.
+
+    ``cell``: its place in a table, or what tells it from the others of the sweep.
+    """
 
     cell: Cell
     seed: int
@@ -33,7 +37,12 @@ class PlannedRun:
     @property
     def label(self) -> str:
         """The run in words: row, sequence and seed."""
-        return f"{self.cell.row}, {self.cell.column}, seed {self.seed}"
+        return ", ".join(part for part in (self.cell.row, self.cell.column, f"seed {self.seed}") if part)
+
+    @property
+    def job(self) -> Job:
+        """The run as the process that starts it gets it."""
+        return Job(self.label, self.folder.absolute(), Path.cwd(), tuple(arguments_of(self)))
 
 
 @dataclass(frozen=True)
@@ -53,6 +62,11 @@ class Plan:
     root: Path
 
 
+def arguments_of(planned: PlannedRun) -> list[str]:
+    """What Python is given to make this run."""
+    return ["-m", "bench.cli", "run", *planned.overrides]
+
+
 def make_plan(table: NamedTable, overrides: Sequence[str], seeds: Sequence[int]) -> Plan:
     """Expand the table's cells by ``seeds``; ``overrides`` (Hydra syntax) hold for all cells but where a cell differs.
 
@@ -65,6 +79,7 @@ def make_plan(table: NamedTable, overrides: Sequence[str], seeds: Sequence[int])
     runs: list[PlannedRun] = []
     skipped: list[Skipped] = []
     known: dict[str, int | str] = {}
+    measuring = any(metric.unit in ("s/frame", "GB") for metric in table.metrics)
     for cell in of_table:
         reason = cell.blocked or _without_plugin(cell)
         if reason:
@@ -75,7 +90,7 @@ def make_plan(table: NamedTable, overrides: Sequence[str], seeds: Sequence[int])
         if isinstance(frames, str):
             skipped.append(Skipped(cell, frames))
         else:
-            runs += [_planned(cell, seed, config, root, common, frames) for seed in seeds]
+            runs += [_planned(cell, seed, config, root, common, frames, measuring) for seed in seeds]
     if not runs and skipped:
         raise BenchError(f"No cell of {table.name} can be run: {skipped[0].reason}")
     order = {seed: position for position, seed in enumerate(seeds)}
@@ -123,7 +138,7 @@ def _without_plugin(cell: Cell) -> str:
 
 
 def _compose(table: NamedTable, cell: Cell, common: Sequence[str]) -> RunConfig:
-    config = compose_run([*common, *cell.overrides])
+    config = compose_run(cell.overrides_with(common))
     if row_of(table, config.values) != (cell.row, cell.column):
         raise BenchError(
             f"With {' '.join(common)} a run of '{cell.row}' would no longer be one of this row of {table.name}. "
@@ -158,11 +173,29 @@ def _frames(config: RunConfig, known: dict[str, int | str]) -> int | str:
     return known[key]
 
 
-def _planned(cell: Cell, seed: int, config: RunConfig, root: Path, common: Sequence[str], frames: int) -> PlannedRun:
+def sharing(overrides: Sequence[str], measuring: bool = False) -> tuple[str, ...]:
+    """A run's overrides with ``cache.all=true``, so that a sweep's runs share tracking and stereo, unless they say.
+
+    With ``measuring``, for a table of times or memory, each run computes everything itself.
+    """
+    key = "cache.enabled=" if measuring else "cache.all="
+    if any(each.startswith(key) for each in overrides):
+        return tuple(overrides)
+    return (*overrides, f"{key}{'false' if measuring else 'true'}")
+
+
+def quoted(path: Path) -> str:
+    """A path as the value of an override, whatever characters it has."""
+    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def _planned(
+    cell: Cell, seed: int, config: RunConfig, root: Path, common: Sequence[str], frames: int, measuring: bool
+) -> PlannedRun:
     values: dict[str, Any] = config.values | {"seed": seed}
     # Resolving plain values again takes a tenth of the time of composing them again.
     seeded = resolved(OmegaConf.create(values))
     folder = root / seeded.hash
-    quoted = str(folder).replace("\\", "\\\\").replace("'", "\\'")
-    overrides = (*common, *cell.overrides, f"seed={seed}", f"output='{quoted}'")
-    return PlannedRun(cell, seed, seeded, folder, overrides, frames)
+    overrides = (*cell.overrides_with(common), f"seed={seed}", f"output={quoted(folder)}")
+    return PlannedRun(cell, seed, seeded, folder, sharing(overrides, measuring), frames)

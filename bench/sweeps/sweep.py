@@ -1,21 +1,38 @@
-"""The sweep: starts the runs of a plan, so many at once, waits for those that another process makes, and ends them."""
+"""The sweep of one machine: starts runs, so many at once, waits for those that another process makes, and ends them."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
-from bench.sweeps.child import Child, Outcome, environment_of
+from bench.errors import BenchError
+from bench.sweeps.child import Child
 from bench.sweeps.claim import Claim, claimed_by
-from bench.sweeps.lookup import Progress, look_up
-from bench.sweeps.plan import PlannedRun
-from bench.sweeps.view import SweepView
+from bench.sweeps.job import Job, Outcome
+from bench.sweeps.lookup import Found, Progress, look_up
 
 # How often ended processes are looked for, and how long a run may take to save what it has done.
 _POLL_S = 0.1
 _PATIENCE_S = 30.0
+
+
+class Listener(Protocol):
+    """Is told what happens in a sweep."""
+
+    def started(self, job: Job, place: str = "") -> None:
+        """A run was started, at a ``place`` of a cluster or here."""
+
+    def waits(self, job: Job, who: str) -> None:
+        """A run is being made by another process, whose end is waited for."""
+
+    def ended(self, outcome: Outcome) -> None:
+        """A run ended, or needs nothing more."""
+
+    def refresh(self) -> None:
+        """Called all the time."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +42,7 @@ class Choice:
     missing: bool = True
     interrupted: bool = True
     failed: bool = False
+    finished: bool = False
 
     def wants(self, progress: Progress) -> bool:
         """Whether a run in this state is made, or, where another process makes it, waited for."""
@@ -34,25 +52,33 @@ class Choice:
             "failed": self.failed,
             "elsewhere": True,
             "out of sight": False,
-            "finished": False,
+            "finished": self.finished,
         }[progress]
 
 
 class Sweep:
-    """Makes runs in processes of their own, ``jobs`` at once; ``gpus`` are dealt out to the jobs in turn.
+    """Makes runs in processes of their own, ``at_once`` of them; ``environment`` gives that of a slot (0 and up).
 
-    A run that fails, crashes or is killed ends nothing else. ``run`` raises ``KeyboardInterrupt`` on Ctrl-C, when the
-    runs under way have been ended and have saved what was done.
+    A run that fails, crashes, is killed or can't be started ends nothing else. ``run`` raises ``KeyboardInterrupt`` on
+    Ctrl-C, when the runs under way have been ended and have saved what was done. The processes inherit the files
+    ``held``.
     """
 
     def __init__(
-        self, runs: Sequence[PlannedRun], jobs: int, choice: Choice, view: SweepView, gpus: Sequence[str] = ()
+        self,
+        jobs: Sequence[Job],
+        at_once: int,
+        choice: Choice,
+        listener: Listener,
+        environment: Callable[[int], dict[str, str]],
+        held: Sequence[int] = (),
     ) -> None:
-        self._pending = list(runs)
-        self._jobs = jobs
+        self._pending = list(jobs)
+        self._at_once = at_once
         self._choice = choice
-        self._view = view
-        self._gpus = gpus
+        self._listener = listener
+        self._environment = environment
+        self._held = held
         self._children: dict[int, Child] = {}
         self._elsewhere: set[Path] = set()
 
@@ -62,57 +88,65 @@ class Sweep:
             while self._pending or self._children:
                 self._start_what_can_start()
                 self._collect_ended()
-                self._view.refresh()
-                time.sleep(_POLL_S)
+                self._listener.refresh()
+                if self._pending or self._children:
+                    time.sleep(_POLL_S)
         except BaseException:
             self._end_children()
             raise
 
     def _start_what_can_start(self) -> None:
-        free = [slot for slot in range(self._jobs) if slot not in self._children]
-        for planned in list(self._pending):
+        free = [slot for slot in range(self._at_once) if slot not in self._children]
+        for job in list(self._pending):
             if not free:
                 return
-            if self._try(planned, free[0]):
-                self._pending.remove(planned)
+            try:
+                settled = self._try(job, free[0])
+            except BenchError as error:
+                # No lock or log file, for want of space say: this run's misfortune, not the sweep's.
+                self._listener.ended(Outcome(job, Found("failed", str(error)), 0.0))
+                settled = True
+            if settled:
+                self._pending.remove(job)
                 if free[0] in self._children:
                     free.pop(0)
 
-    def _try(self, planned: PlannedRun, slot: int) -> bool:
+    def _try(self, job: Job, slot: int) -> bool:
         """Start a run, or see that it needs none; False while another process has it."""
-        claim = Claim.attempt(planned.folder)
+        claim = Claim.attempt(job.folder)
         if claim is None:
-            self._wait_for(planned, claimed_by(planned.folder))
+            self._wait_for(job, claimed_by(job.folder))
             return False
-        found = look_up(planned.folder)
+        found = look_up(job.folder)
         if found.progress == "elsewhere":
             claim.release()
-            self._wait_for(planned, found.reason)
+            self._wait_for(job, found.reason)
             return False
-        failed_elsewhere = found.progress == "failed" and planned.folder in self._elsewhere
-        self._elsewhere.discard(planned.folder)
-        if failed_elsewhere or not self._choice.wants(found.progress):
+        # What another process has just made, or failed to make, is not made again.
+        settled_elsewhere = found.progress in ("failed", "finished") and job.folder in self._elsewhere
+        self._elsewhere.discard(job.folder)
+        if settled_elsewhere or not self._choice.wants(found.progress):
             claim.release()
-            self._view.ended(Outcome(planned, found, 0.0))
+            self._listener.ended(Outcome(job, found, 0.0))
             return True
         try:
-            self._children[slot] = Child(planned, claim, environment_of(slot, self._jobs, self._gpus))
+            self._children[slot] = Child(job, claim, self._environment(slot), self._held)
         except BaseException:
             claim.release()
             raise
-        self._view.started(planned)
+        self._listener.started(job)
         return True
 
-    def _wait_for(self, planned: PlannedRun, who: str) -> None:
-        if planned.folder not in self._elsewhere:
-            self._elsewhere.add(planned.folder)
-            self._view.waits(planned, who)
+    def _wait_for(self, job: Job, who: str) -> None:
+        if job.folder not in self._elsewhere:
+            self._elsewhere.add(job.folder)
+            self._listener.waits(job, who)
 
     def _collect_ended(self) -> None:
         for slot, child in list(self._children.items()):
             if child.has_ended():
                 del self._children[slot]
-                self._view.ended(child.outcome())
+                self._listener.ended(child.outcome())
 
     def _end_children(self) -> None:
         """Ask all to end, wait, and kill what is left; a second Ctrl-C kills at once."""

@@ -28,6 +28,11 @@ def read(path: Path) -> dict[str, Any]:
     return content
 
 
+def times_of_files(folder: Path) -> dict[Path, int]:
+    """When each was written last, but for the lock, into which whoever opens the folder writes its number."""
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.name != ".lock"}
+
+
 def without_measurements(metrics: dict[str, Any]) -> dict[str, Any]:
     """Metrics but for what the machine's load decides: times and memory."""
     return metrics | {"resources": sorted(metrics["resources"])}
@@ -46,7 +51,7 @@ def test_run_folder_is_complete(finished_run: Finished) -> None:
     assert files == pictures | {
         *("config.yaml", "status.json", "provenance.json", "metrics.json", "per_frame.csv", "frames.csv"),
         *("trajectory.csv", "trajectory_kitti.txt", "trajectory_tum.txt", "ground_truth.csv"),
-        *("ground_truth_kitti.txt", "resources.json", "map.ply", "log.txt", "trajectory.png"),
+        *("ground_truth_kitti.txt", "resources.json", "map.ply", "log.txt", "trajectory.png", ".lock"),
     }
 
 
@@ -108,10 +113,10 @@ def copy(finished_run: Finished, tmp_path: Path) -> Path:
 
 
 def test_a_finished_run_is_not_run_again(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = {path: path.stat().st_mtime_ns for path in copy.rglob("*")}
+    before = times_of_files(copy)
     assert main(["run", *TINY, f"output={copy}"]) == 0
     assert "already done; rerun=true runs it again" in capsys.readouterr().out
-    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*")} == before
+    assert times_of_files(copy) == before
 
 
 def test_rerun_gives_the_same_numbers_and_the_same_bytes(copy: Path, finished_run: Finished) -> None:
@@ -153,13 +158,13 @@ def test_a_run_without_scores_is_scored_when_asked_for_again(copy: Path) -> None
 
 
 def test_the_folder_of_another_config_is_left_alone(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = {path: path.stat().st_mtime_ns for path in copy.rglob("*")}
+    before = times_of_files(copy)
     assert main(["run", *TINY, "seed=3", f"output={copy}", "rerun=true"]) == 2
     error = capsys.readouterr().err
     assert error.startswith("bgs-bench: ")
     assert "holds a run of another config (it differs in seed)" in error
     assert error.count("\n") == 1
-    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*")} == before
+    assert times_of_files(copy) == before
 
 
 def test_a_sweep_makes_a_folder_a_cell_and_a_table(tmp_path: Path) -> None:

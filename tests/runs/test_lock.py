@@ -39,6 +39,13 @@ def test_wrong_input_leaves_no_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_nothing_is_left_in_a_folder_of_something_else(tmp_path: Path) -> None:
+    (tmp_path / "photo.jpg").touch()
+    with pytest.raises(BenchError, match="wrong"), only_one(tmp_path, print):
+        raise BenchError("wrong")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["photo.jpg"]
+
+
 def test_a_folder_deleted_meanwhile_hides_no_error(tmp_path: Path) -> None:
     def fails() -> None:
         shutil.rmtree(tmp_path / "run")
@@ -49,8 +56,6 @@ def test_a_folder_deleted_meanwhile_hides_no_error(tmp_path: Path) -> None:
 
 
 def test_what_was_there_stays(tmp_path: Path) -> None:
-    with only_one(tmp_path, print):
-        pass
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "config.yaml").write_text("")
     with only_one(tmp_path / "run", print):
@@ -65,7 +70,7 @@ def test_one_after_the_other(tmp_path: Path) -> None:
     def second() -> None:
         with only_one(folder, lambda who: entered.set()):
             order.append("second")
-            (folder / "result").touch()
+            (folder / "config.yaml").touch()
 
     with only_one(folder, print):
         thread = threading.Thread(target=second)
@@ -74,7 +79,7 @@ def test_one_after_the_other(tmp_path: Path) -> None:
         order.append("first")
     thread.join(10)
     assert order == ["first", "second"]
-    assert (folder / "result").is_file()
+    assert (folder / "config.yaml").is_file()
     with open(folder / LOCK_FILE, "rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody holds it any more
 

@@ -15,7 +15,7 @@ sys.path += [str(Path(__file__).parent), str(Path(__file__).parent.parent / "dat
 from fake_bench import Bench, is_running
 from kitti_disk import write_kitti
 
-from bench.sweeps import child, sweep
+from bench.sweeps import plan, sweep
 
 
 @pytest.fixture(scope="session")
@@ -30,7 +30,7 @@ def kitti(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def make_bench(tmp_path: Path, kitti: Path) -> Iterator[Callable[[str], Bench]]:
     """Makes a ``Bench`` in a new folder of this name; what still runs at the end is ended."""
-    before = child.command_of, sweep._POLL_S
+    before = plan.arguments_of, sweep._POLL_S
     made: list[Bench] = []
 
     def make(name: str) -> Bench:
@@ -38,8 +38,10 @@ def make_bench(tmp_path: Path, kitti: Path) -> Iterator[Callable[[str], Bench]]:
         return made[-1]
 
     yield make
-    child.command_of, sweep._POLL_S = before
+    plan.arguments_of, sweep._POLL_S = before
     for bench in made:
+        for process in bench.processes:
+            process.kill()
         for marker in bench.control.glob("hangs-*"):
             if is_running(int(marker.read_text())):
                 os.kill(int(marker.read_text()), signal.SIGKILL)

@@ -25,11 +25,12 @@ class Bench:
         self.control = folder / "control"
         self.control.mkdir(parents=True)
         self.arguments = ["reproduce", "ablation", f"dataset.root={kitti}"]
+        self.processes: list[subprocess.Popen[str]] = []
         self.behave()
 
-    def behave(self, **by_seed: str) -> None:
-        """How the runs of the row "Ours (full)" behave: ``seed0="hang"``; the others are "ok"."""
-        behaviours = {f"{FULL}{name.removeprefix('seed')}": how for name, how in by_seed.items()}
+    def behave(self, others: str = "ok", **by_seed: str) -> None:
+        """How the runs of the row "Ours (full)" behave: ``seed0="hang"``; and the others."""
+        behaviours = {"*": others} | {f"{FULL}{name.removeprefix('seed')}": how for name, how in by_seed.items()}
         (self.control / "behaviour.json").write_text(json.dumps(behaviours))
 
     def reproduce(self, *more: str) -> int:
@@ -45,13 +46,15 @@ class Bench:
     def start(self, *more: str) -> subprocess.Popen[str]:
         """In a process of its own, which does not wait."""
         script = str(Path(__file__).with_name("reproduce_with_fakes.py"))
-        return subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, script, str(self.control), *self.arguments, *more],
             cwd=self.folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
         )
+        self.processes.append(process)
+        return process
 
     def started(self) -> list[str]:
         """The labels of the runs that were started since the last call, in order."""

@@ -19,7 +19,8 @@ def main(job_file: Path) -> None:
     control, folder, label = job_file.parent, Path(job["folder"]), job["label"]
     with open(control / "started.txt", "a") as started:
         started.write(f"{os.getpid()} {label}\n")
-    behaviour = json.loads((control / "behaviour.json").read_text()).get(label, "ok")
+    behaviours = json.loads((control / "behaviour.json").read_text())
+    behaviour = behaviours.get(label, behaviours.get("*", "ok"))
     if behaviour == "wrong":
         sys.exit("bgs-bench: the weights are missing")
 
@@ -31,6 +32,10 @@ def main(job_file: Path) -> None:
     (folder / "config.yaml").write_text(job["config"])
     status("running")
 
+    def note_gpu(what: str) -> None:
+        with open(control / "gpus.txt", "a") as file:
+            file.write(f"{what} {os.environ.get('CUDA_VISIBLE_DEVICES', 'none')}\n")
+
     def stop(signum: int, frame: object) -> None:
         status("interrupted", "stopped by the user")
         sys.exit(130)
@@ -41,10 +46,16 @@ def main(job_file: Path) -> None:
         (control / f"hangs-{job['seed']}").write_text(str(os.getpid()))
         time.sleep(60)
     if behaviour == "slow":
+        note_gpu("begins")
         time.sleep(0.3)
+        note_gpu("ends")
     if behaviour == "segv":
         os.kill(os.getpid(), signal.SIGSEGV)
     if behaviour == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if behaviour == "oom-kill":
+        # What the kernel does: it counts, then kills.
+        (control / "vmstat").write_text("pgfault 12\noom_kill 8\n")
         os.kill(os.getpid(), signal.SIGKILL)
     if behaviour == "oom":
         status("out_of_memory", "40 GB wanted")

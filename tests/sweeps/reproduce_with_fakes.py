@@ -9,22 +9,22 @@ from pathlib import Path
 from omegaconf import OmegaConf
 
 from bench.cli import main
-from bench.sweeps import child, sweep
+from bench.sweeps import plan, sweep
 from bench.sweeps.plan import PlannedRun
 
 
 def use_fakes(control: Path) -> None:
     """Let sweeps of this process start ``fake_run.py``; what each does stands in ``control/behaviour.json``."""
 
-    def command_of(planned: PlannedRun) -> list[str]:
+    def arguments_of(planned: PlannedRun) -> list[str]:
         job = control / f"{planned.config.hash}.json"
         config = f"# bgs-bench run, config hash {planned.config.hash}\n"
         config += OmegaConf.to_yaml(OmegaConf.create(planned.config.values))
         content = {"folder": str(planned.folder), "label": planned.label, "seed": planned.seed, "config": config}
         job.write_text(json.dumps(content))
-        return [sys.executable, "-S", str(Path(__file__).with_name("fake_run.py")), str(job)]
+        return ["-S", str(Path(__file__).with_name("fake_run.py")), str(job)]
 
-    child.command_of = command_of
+    plan.arguments_of = arguments_of
     sweep._POLL_S = 0.01
 
 

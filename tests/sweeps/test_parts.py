@@ -1,29 +1,23 @@
-"""The share of a job, the claim between processes, and the time left."""
+"""The share of a job, the claim between processes, and what an end means."""
 
 from __future__ import annotations
 
-import io
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
-from bench.config import RunConfig
-from bench.sweeps import view
-from bench.sweeps.child import Outcome, environment_of
-from bench.sweeps.claim import Claim, claimed_by
+from bench.errors import BenchError
+from bench.sweeps import child, oom_kills
+from bench.sweeps.child import environment_of
+from bench.sweeps.claim import Claim, claimed_by, is_claimed
 from bench.sweeps.gpus import gpus_of_this_machine
-from bench.sweeps.lookup import Found
-from bench.sweeps.plan import PlannedRun
-from bench.sweeps.view import SweepView, duration
-from bench.tables.named.definitions import Cell
-
-
-def planned(row: str) -> PlannedRun:
-    return PlannedRun(Cell(row, "03", ()), 0, RunConfig({}, row), Path(row), (), 4)
+from bench.sweeps.job import Job, Outcome
+from bench.sweeps.slots import Slots
+from bench.sweeps.sweep import Choice, Sweep
 
 
 def test_gpus_are_dealt_out_in_turn() -> None:
@@ -58,6 +52,7 @@ def test_a_claim_lasts_as_long_as_any_process_that_has_it(tmp_path: Path) -> Non
     claim = Claim.attempt(run_folder)
     assert claim is not None
     assert Claim.attempt(run_folder) is None
+    assert is_claimed(run_folder)
     assert claimed_by(run_folder) == f"process {os.getpid()}"
     heir = subprocess.Popen([sys.executable, "-S", "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[claim.fd])
     claim.note(heir.pid)
@@ -66,60 +61,108 @@ def test_a_claim_lasts_as_long_as_any_process_that_has_it(tmp_path: Path) -> Non
     assert claimed_by(run_folder) == f"process {heir.pid}"
     heir.kill()
     heir.wait()
+    assert not is_claimed(run_folder)
     again = Claim.attempt(run_folder)
     assert again is not None
     again.release()
 
 
-def test_time_left_by_the_mean_of_the_finished_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs of 10 and 30 s make 20 s a run. One of eight has run for 5 s, one for 50 s, one failed, three wait:
-    (15 + 0 + 3 * 20) / 2 = 37.5 s."""
-    now = 100.0
-    monkeypatch.setattr(view.time, "monotonic", lambda: now)
-    sweep = SweepView(Console(file=io.StringIO()), "ablation", total=8, jobs=2)
-    assert sweep.seconds_left() is None
-    sweep.ended(Outcome(planned("a"), Found("finished"), 10.0))
-    sweep.ended(Outcome(planned("b"), Found("finished"), 30.0))
-    sweep.ended(Outcome(planned("c"), Found("failed", "broken"), 1.0))
-    sweep.started(planned("d"))
-    now = 145.0
-    sweep.started(planned("e"))
-    now = 150.0
-    assert sweep.seconds_left() == pytest.approx(37.5)
-    assert sweep.summary_line() == "ablation: 2 of 8 done, 2 running, 1 failed or stopped; about 38 s left"
+VMSTAT = "nr_free_pages 12\noom_kill {}\npgfault 8\n"
 
 
-def test_plain_lines_where_there_is_no_terminal() -> None:
-    file = io.StringIO()
-    with SweepView(Console(file=file), "ablation", total=2, jobs=1) as sweep:
-        sweep.started(planned("one [row]"))
-        sweep.refresh()
-        sweep.ended(Outcome(planned("one [row]"), Found("finished"), 61.0))
-        sweep.waits(planned("other"), "process 7")
-        sweep.ended(Outcome(planned("other"), Found("finished"), 0.0))
-    assert file.getvalue().splitlines() == [
-        "[0/2] started: one [row], 03, seed 0",
-        "[1/2] done in 1 min 01 s: one [row], 03, seed 0",
-        "[1/2] running elsewhere (process 7): other, 03, seed 0",
-        "[2/2] done elsewhere: other, 03, seed 0",
+def test_the_kernels_count_of_what_it_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cgroup's own count, where the process is in one that has it, else the machine's."""
+    monkeypatch.setattr(oom_kills, "_VMSTAT", tmp_path / "vmstat")
+    monkeypatch.setattr(oom_kills, "_OWN_CGROUP", tmp_path / "cgroup")
+    monkeypatch.setattr(oom_kills, "_CGROUPS", tmp_path / "sys")
+    assert oom_kills.oom_kills() is None
+    (tmp_path / "vmstat").write_text(VMSTAT.format(7))
+    assert oom_kills.oom_kills() == 7
+    (tmp_path / "cgroup").write_text("3:cpu:/other\n0::/jobs/one\n")
+    assert oom_kills.oom_kills() == 7
+    events = tmp_path / "sys/jobs/one/memory.events"
+    events.parent.mkdir(parents=True)
+    events.write_text("low 0\nmax 9\noom 2\noom_kill 1\n")
+    assert oom_kills.oom_kills() == 1
+
+
+def test_this_machine_counts() -> None:
+    line = next((line for line in Path("/proc/vmstat").read_text().splitlines() if line.startswith("oom_kill ")), None)
+    if line is None:
+        pytest.skip("this kernel keeps no count")
+    assert oom_kills.oom_kills() is not None
+
+
+def test_slots_of_a_machine(tmp_path: Path) -> None:
+    """Two slots for three workers; the third waits, and a process that inherits a slot keeps it."""
+    slots = Slots(tmp_path, 2, ("0", "1"))
+
+    class WaitsError(Exception):
+        pass
+
+    def give_up() -> None:
+        raise WaitsError
+
+    with slots.one(give_up) as (first, _):
+        with slots.one(give_up) as (second, file):
+            assert {first, second} == {0, 1}
+            with pytest.raises(WaitsError), slots.one(give_up):
+                pass
+            heir = subprocess.Popen([sys.executable, "-S", "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[file])
+        with pytest.raises(WaitsError), slots.one(give_up):
+            pass
+        heir.kill()
+        heir.wait()
+        with slots.one(give_up) as (again, _):
+            assert again == second
+
+
+def test_a_run_that_can_not_be_claimed_fails_alone(tmp_path: Path) -> None:
+    """Where its lock file would be there is something else; the other run is made."""
+    told: list[tuple[str, str]] = []
+
+    class Listener:
+        def started(self, job: Job, place: str = "") -> None: ...
+        def waits(self, job: Job, who: str) -> None: ...
+        def refresh(self) -> None: ...
+        def ended(self, outcome: Outcome) -> None:
+            told.append((outcome.job.label, f"{outcome.found.progress}: {outcome.found.reason}"))
+
+    (tmp_path / ".sweep" / "bad.lock").mkdir(parents=True)
+    jobs = [
+        Job(name, tmp_path / name, tmp_path, ("-S", "-c", "raise SystemExit('no weights')")) for name in ("bad", "good")
+    ]
+    Sweep(jobs, 1, Choice(), Listener(), lambda slot: dict(os.environ)).run()
+    assert told == [
+        (
+            "bad",
+            f"failed: Can't make {tmp_path}/.sweep/bad.lock: Is a directory. "
+            "Give output= a place that you may write to.",
+        ),
+        ("good", "failed: no weights"),
     ]
 
 
-def test_a_live_summary_in_a_terminal() -> None:
-    file = io.StringIO()
-    with SweepView(Console(file=file, force_terminal=True, width=100), "ablation", total=2, jobs=1) as sweep:
-        sweep.started(planned("one"))
-        sweep.waits(planned("other"), "process 7")
-        sweep._refreshed = -1.0
-        sweep.refresh()
-    text = file.getvalue()
-    assert "0 of 2 done, 1 running, 1 running elsewhere" in text
-    assert "running 0 s: one, 03, seed 0" in text
-    assert "waiting for process 7: other, 03, seed 0" in text
+@pytest.mark.parametrize("sent", [signal.SIGABRT, signal.SIGTERM])
+def test_a_full_disk_hides_no_crash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sent: signal.Signals) -> None:
+    """The run's status can't be completed: the outcome says both how it ended and that."""
 
+    def full(folder: Path, status: object) -> None:
+        raise BenchError("No space left on device")
 
-@pytest.mark.parametrize(
-    ("seconds", "words"), [(0.4, "0 s"), (59.6, "1 min 00 s"), (3599, "59 min 59 s"), (7800, "2 h 10 min")]
-)
-def test_durations(seconds: float, words: str) -> None:
-    assert duration(seconds) == words
+    monkeypatch.setattr(child, "write_status", full)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "config.yaml").write_text("# bgs-bench run, config hash 0\nseed: 0\n")
+    code = (
+        "import json, os, pathlib, socket\n"
+        "status = {'state': 'running', 'pid': os.getpid(), 'host': socket.gethostname()}\n"
+        f"pathlib.Path({str(folder / 'status.json')!r}).write_text(json.dumps(status))\n"
+        f"os.kill(os.getpid(), {int(sent)})\n"
+    )
+    claim = Claim.attempt(folder)
+    assert claim is not None
+    found = child.Child(Job("run", folder, tmp_path, ("-S", "-c", code)), claim, dict(os.environ)).outcome().found
+    assert found.progress == ("failed" if sent == signal.SIGABRT else "interrupted")
+    assert found.reason.startswith(f"ended by signal {int(sent)} (")
+    assert "No space left on device" in found.reason

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from kitti_disk import write_kitti
 
 from bench.config import compose_run
 from bench.errors import BenchError
+from bench.sweeps.combinations import plan_combinations
 from bench.sweeps.experiment import expand_experiment
 from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import make_plan
@@ -73,7 +75,11 @@ def test_backbones_that_cannot_run_here_are_skipped_with_the_reason(kitti: Path)
         ("main_kitti", "sky=none", "a run of 'BGS-SLAM (LiDAR)' would no longer be one of this row of main_kitti"),
         ("ablation", "mapper.iteratons=3", "Did you mean 'iterations'?"),
         ("ablation", "dataset.root=/no/such/place", "No cell of ablation can be run: dataset.root=/no/such/place"),
-        ("main_kitti360", "mapper.iterations=3", "No cell of main_kitti360 can be run: there is no dataset plugin"),
+        (
+            "main_kitti360",
+            "mapper.iterations=3",
+            "holds no folder 'data_2d_raw'. Give the folder that holds KITTI-360's",
+        ),
     ],
 )
 def test_overrides_that_cannot_be(kitti: Path, table: str, override: str, message: str) -> None:
@@ -84,6 +90,13 @@ def test_overrides_that_cannot_be(kitti: Path, table: str, override: str, messag
 
 
 HERE = {"host": socket.gethostname(), "pid": os.getpid()}
+ANOTHER = {"host": "another", "pid": 7}
+
+
+def ago(seconds: float) -> str:
+    return (datetime.now(UTC) - timedelta(seconds=seconds)).isoformat()
+
+
 DEAD = {"host": socket.gethostname(), "pid": 2**22 + 1}
 
 
@@ -98,6 +111,8 @@ DEAD = {"host": socket.gethostname(), "pid": 2**22 + 1}
         ({"state": "running", **HERE}, False, "elsewhere", f"process {os.getpid()}"),
         ({"state": "running", **DEAD}, False, "interrupted", "killed"),
         ({"state": "running", **HERE, "host": "another"}, False, "out of sight", "running on another, process"),
+        ({"state": "running", **ANOTHER, "updated": ago(60)}, False, "out of sight", "running on another, process"),
+        ({"state": "running", **ANOTHER, "updated": ago(7230)}, False, "interrupted", "silent for 12"),
         (None, False, "interrupted", "it has not begun"),
         ({"state": "dancing"}, False, "failed", "names no known state"),
     ],
@@ -117,11 +132,13 @@ def test_what_a_folder_says(
 
 
 def test_an_experiment_is_one_list_of_overrides_a_cell() -> None:
-    lists = expand_experiment(["experiment=ablation", "seed=0,1,2"])
-    assert len(lists) == 7
-    assert all(each[:3] == ["seed=0,1,2", "dataset=kitti", "dataset.sequence=03"] for each in lists)
+    expanded = expand_experiment(["experiment=ablation", "seed=0,1,2"])
+    assert [cell.column for cell, _ in expanded] == ["03"] * 7
+    lists = [overrides for _, overrides in expanded]
+    start = ["protocol=paper", "seed=0,1,2", "dataset=kitti", "dataset.sequence=03"]
+    assert all(each[:4] == start for each in lists)
     assert ["sky=none" in each for each in lists] == [True] + [False] * 6
-    assert expand_experiment(["seed=0,1"]) == [["seed=0,1"]]
+    assert [overrides for _, overrides in expand_experiment(["seed=0,1"])] == [["seed=0,1"]]
     # Of the six sequences of KITTI-360 the images of one are withheld.
     assert len(expand_experiment(["experiment=main_kitti360"])) == 4 * 5
 
@@ -137,3 +154,36 @@ def test_experiments_that_cannot_be(overrides: list[str], message: str) -> None:
     with pytest.raises(BenchError) as error:
         expand_experiment(overrides)
     assert message in str(error.value)
+
+
+def test_every_combination_once_in_its_own_folder(tmp_path: Path) -> None:
+    """Two values of two keys, one of them twice; the value with a comma and a quote reaches the run as it is."""
+    odd = "it's a, {place}"
+    quoted = odd.replace("'", "\\'")
+    plan = plan_combinations(
+        ["seed=0,1,0", "mapper.iterations=3,4", f"cache.folder='{quoted}'", f"output={tmp_path / 'runs'}"]
+    )
+    settings = [(run.config.values["mapper"]["iterations"], run.seed) for run in plan.runs]
+    assert sorted(settings) == [(3, 0), (3, 1), (4, 0), (4, 1)]
+    assert plan.runs[0].label == "mapper.iterations=3, seed 0"
+    assert plan.root == tmp_path / "runs"
+    for planned in plan.runs:
+        composed = compose_run(planned.overrides)
+        assert (composed.hash, composed.output) == (planned.config.hash, planned.folder)
+        assert composed.values["cache"]["folder"] == planned.config.values["cache"]["folder"]
+        assert odd in str(composed.values["cache"]["folder"])
+        assert planned.folder == plan.root / composed.hash
+
+
+def test_cells_of_an_experiment_are_named_by_row(tmp_path: Path) -> None:
+    plan = plan_combinations(["experiment=ablation", "mapper.iterations=3,4", "seed=2", f"output={tmp_path}"])
+    assert len(plan.runs) == 14
+    assert plan.runs[-1].label == "Ours (full), mapper.iterations=4, 03, seed 2"
+
+
+@pytest.mark.parametrize(("table", "expected"), [("ablation", "cache.all=true"), ("runtime", "cache.enabled=false")])
+def test_runs_share_but_where_time_and_memory_are_measured(kitti: Path, table: str, expected: str) -> None:
+    plan = make_plan(named_table(table), [f"dataset.root={kitti}"], [0])
+    assert all(planned.overrides[-1] == expected for planned in plan.runs)
+    own = make_plan(named_table(table), [f"dataset.root={kitti}", "cache.all=false", "cache.enabled=true"], [0])
+    assert all(expected not in planned.overrides for planned in own.runs)

@@ -1,0 +1,69 @@
+"""Tiny real runs by every launcher: the same numbers and the same table as the basic launcher's, to the byte."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+# Two runs of a street; what the runs learn differs between the seeds.
+RUNS = (
+    *("run", "-m", "seed=0,1", "dataset.frames=2", "dataset.width=96", "dataset.height=48", "mapper.iterations=2"),
+    *("tracker=groundtruth", "protocol.lpips=false", "cache.enabled=false"),
+)
+RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+LAUNCHERS = {
+    "joblib": ("hydra_joblib_launcher", ("--jobs", "2")),
+    "slurm_local": ("hydra_submitit_launcher", ("--jobs", "2")),
+    "ray": ("hydra_ray_launcher", ("hydra.launcher.ray.init.num_cpus=2",)),
+}
+
+
+def sweep(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    """Make the runs in ``folder``/runs."""
+    command = [sys.executable, "-m", "bench.cli", *RUNS, "output=runs", *more]
+    environment = os.environ | RAY | {"OMP_NUM_THREADS": "1", "COLUMNS": "400"}
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def numbers(folder: Path) -> dict[str, Any]:
+    """What the runs were scored, by their folders' names, but for times and memory; and their maps."""
+    found: dict[str, Any] = {}
+    for run in sorted((folder / "runs").glob("*/metrics.json")):
+        metrics = json.loads(run.read_text())
+        found[run.parent.name] = {key: metrics[key] for key in ("views", "trajectory", "protocol", "map")}
+        found[f"{run.parent.name}/map"] = (run.parent / "map.ply").read_bytes()
+    return found
+
+
+@pytest.fixture(scope="module")
+def basic(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("basic")
+    made = sweep(folder, "--jobs", "2")
+    assert (made.returncode, made.stderr) == (0, "")
+    scores = numbers(folder)
+    assert len(scores) == 4
+    assert len({json.dumps(value["views"]) for name, value in scores.items() if "/" not in name}) == 2
+    return scores
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("launcher", LAUNCHERS)
+def test_the_numbers_of_the_basic_launcher(tmp_path: Path, basic: dict[str, Any], launcher: str) -> None:
+    module, options = LAUNCHERS[launcher]
+    if importlib.util.find_spec("hydra_plugins") is None or importlib.util.find_spec(f"hydra_plugins.{module}") is None:
+        pytest.skip(f"launcher={launcher} is not installed")
+    made = sweep(tmp_path, f"launcher={launcher}", *options)
+    assert (made.returncode, made.stderr) == (0, ""), made.stdout
+    assert numbers(tmp_path) == basic
+    again = sweep(tmp_path, f"launcher={launcher}", *options)
+    assert again.returncode == 0
+    assert "started" not in again.stdout
