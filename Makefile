@@ -26,7 +26,7 @@ run: install
 	$(BIN)/bgs-bench run output=results/runs/street rerun=true
 
 test: check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: install
 	$(BIN)/ruff check bench plugins tests

@@ -51,7 +51,9 @@ class Exchange:
         name = f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(2)}"
         folder = root / SWEEP_FOLDER / name
         try:
-            folder.mkdir(parents=True)
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            # Nobody else may write there: the order is unpickled from it.
+            folder.mkdir(mode=0o700)
         except OSError as error:
             raise BenchError(
                 f"Can't make the folder {folder}: {error.strerror}. Give output= a place that you may write to."

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from reproduce_with_fakes import use_fakes
+from reproduce_with_fakes import fakes
 
 from bench.cli import main
 
@@ -35,11 +35,11 @@ class Bench:
 
     def reproduce(self, *more: str) -> int:
         """In this process; its runs are in processes of their own."""
-        use_fakes(self.control)
         before = Path.cwd()
         os.chdir(self.folder)
         try:
-            return main([*self.arguments, *more])
+            with fakes(self.control):
+                return main([*self.arguments, *more])
         finally:
             os.chdir(before)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from omegaconf import OmegaConf
@@ -13,8 +15,9 @@ from bench.sweeps import plan, sweep
 from bench.sweeps.plan import PlannedRun
 
 
-def use_fakes(control: Path) -> None:
-    """Let sweeps of this process start ``fake_run.py``; what each does stands in ``control/behaviour.json``."""
+@contextmanager
+def fakes(control: Path) -> Iterator[None]:
+    """Sweeps of this process start ``fake_run.py`` meanwhile; what each does stands in ``control/behaviour.json``."""
 
     def arguments_of(planned: PlannedRun) -> list[str]:
         job = control / f"{planned.config.hash}.json"
@@ -24,10 +27,14 @@ def use_fakes(control: Path) -> None:
         job.write_text(json.dumps(content))
         return ["-S", str(Path(__file__).with_name("fake_run.py")), str(job)]
 
-    plan.arguments_of = arguments_of
-    sweep._POLL_S = 0.01
+    before = plan.arguments_of, sweep._POLL_S
+    plan.arguments_of, sweep._POLL_S = arguments_of, 0.01
+    try:
+        yield
+    finally:
+        plan.arguments_of, sweep._POLL_S = before
 
 
 if __name__ == "__main__":
-    use_fakes(Path(sys.argv[1]))
-    sys.exit(main(sys.argv[2:]))
+    with fakes(Path(sys.argv[1])):
+        sys.exit(main(sys.argv[2:]))

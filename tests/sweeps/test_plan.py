@@ -112,7 +112,7 @@ DEAD = {"host": socket.gethostname(), "pid": 2**22 + 1}
         ({"state": "running", **DEAD}, False, "interrupted", "killed"),
         ({"state": "running", **HERE, "host": "another"}, False, "out of sight", "running on another, process"),
         ({"state": "running", **ANOTHER, "updated": ago(60)}, False, "out of sight", "running on another, process"),
-        ({"state": "running", **ANOTHER, "updated": ago(7230)}, False, "interrupted", "silent for 12"),
+        ({"state": "running", **ANOTHER, "updated": ago(7230)}, False, "interrupted", "silent for 1"),
         (None, False, "interrupted", "it has not begun"),
         ({"state": "dancing"}, False, "failed", "names no known state"),
     ],
