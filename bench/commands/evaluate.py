@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress, TaskID
 
 from bench.errors import BenchError
 from bench.evaluation.rescore import copy_for
 from bench.evaluation.run_evaluators import evaluate_run
+from bench.report.scoring_bar import scoring_bar
 from bench.runs.saved import SavedRun
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
@@ -48,14 +48,7 @@ def run(args: argparse.Namespace) -> int:
         raise BenchError("--out is for scores under other settings; say which, for example protocol=paper.")
     if args.overrides:
         folder = copy_for(SavedRun(args.folder), args.overrides, args.out)
-    with Progress(console=console, transient=True, disable=not console.is_interactive) as bar:
-        tasks: dict[str, TaskID] = {}
-
-        def show(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(f"scoring {what}")
-            bar.update(tasks[what], completed=done, total=total)
-
+    with scoring_bar(console) as show:
         evaluate_run(folder, show)
     print_table([collect_row(folder)], console)
     if args.overrides:

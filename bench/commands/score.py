@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress, TaskID
 
 from bench.errors import BenchError
 from bench.evaluation.score import score_pair
@@ -18,6 +17,7 @@ from bench.evaluation.trajectory import ALIGNMENTS
 from bench.evaluation.trajectory_pair import FORMATS, read_pair
 from bench.foreign.score import score_folder
 from bench.foreign.settings import AXES, CONVENTIONS, NUMBERS, STATES
+from bench.report.scoring_bar import scoring_bar
 from bench.tables.collect import Column, Row, about_lost_frames, collect_row, static_camera_of
 from bench.tables.render import print_table
 
@@ -136,14 +136,7 @@ def _score_folder(folder: Path, overrides: list[str], args: argparse.Namespace) 
     def tell(line: str) -> None:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
-    with Progress(console=console, transient=True, disable=not console.is_interactive) as bar:
-        tasks: dict[str, TaskID] = {}
-
-        def show(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(f"scoring {what}")
-            bar.update(tasks[what], completed=done, total=total)
-
+    with scoring_bar(console) as show:
         scored = score_folder(folder, overrides, options, tell, show)
     if args.json:
         print(json.dumps(scored.metrics, indent=2, allow_nan=False))
