@@ -29,8 +29,8 @@ test: check
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: install
-	$(BIN)/ruff check bench plugins tests
-	$(BIN)/ruff format --check bench plugins tests
+	$(BIN)/ruff check bench plugins tests tools
+	$(BIN)/ruff format --check bench plugins tests tools
 	$(BIN)/mypy
 
 bench: install

@@ -12,7 +12,7 @@ from bench.errors import BenchError
 
 _COMMANDS = (
     *("run", "list", "table", "reproduce", "evaluate", "score", "stereo-eval", "vocabulary", "weights", "cache"),
-    *("new-plugin", "check-plugin", "doctor", "readme"),
+    *("new-plugin", "check-plugin", "doctor"),
 )
 """Each is a module in ``bench.commands``, in the order of ``--help``."""
 

@@ -25,8 +25,9 @@ from omegaconf.errors import OmegaConfBaseException
 from bench import registry
 from bench.cache.settings import CacheConfig
 from bench.discovery import load_plugins
-from bench.errors import BenchError, did_you_mean, require_choice
-from bench.evaluation.protocol import Protocol
+from bench.errors import BenchError, did_you_mean, first_line, require_choice
+from bench.plugin_config import plugin_config_from
+from bench.protocol import Protocol
 from bench.registry import KINDS, SEVERAL_AT_ONCE, PluginConfig
 from bench.runs.config_file import NO_PART_OF_THE_RUN
 
@@ -148,7 +149,7 @@ def combinations(overrides: Sequence[str]) -> list[list[str]]:
         try:
             choices.append([f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()])
         except HydraException as error:
-            raise BenchError(f"{line}: {_first_line(error)}. Write the values with commas between them.") from error
+            raise BenchError(f"{line}: {first_line(error)}. Write the values with commas between them.") from error
     return [list(cell) for cell in itertools.product(*choices)]
 
 
@@ -168,7 +169,7 @@ def resolved(composed: DictConfig) -> RunConfig:
         values = OmegaConf.to_container(composed, resolve=True)
         missing = sorted(OmegaConf.missing_keys(composed))
     except OmegaConfBaseException as error:
-        reason = _first_line(error)
+        reason = first_line(error)
         raise BenchError(f"The config can't be resolved: {reason}. Change the value that refers to it.") from error
     if missing:
         raise BenchError(f"{missing[0]} has no value (???). Give {missing[0]}=VALUE.")
@@ -208,36 +209,6 @@ def _check_root(values: Mapping[str, Any]) -> None:
     LimitsConfig(**values["limits"])
 
 
-def plugin_config_from(kind: str, mapping: Mapping[str, Any]) -> PluginConfig:
-    """The typed config of a plugin from plain data (``mapping["name"]`` names it); raises ``BenchError``."""
-    plugin = registry.lookup(kind, str(mapping.get("name", "")))
-    accepted = [f.name for f in dataclasses.fields(plugin.config)]
-    for key in mapping:
-        if key not in accepted:
-            raise BenchError(
-                f"{kind}={plugin.name} has no setting '{key}'; it has {', '.join(accepted)}."
-                f"{did_you_mean(key, accepted)}"
-            )
-    try:
-        config = OmegaConf.to_object(OmegaConf.merge(registry.config_node(plugin.config), dict(mapping)))
-    except OmegaConfBaseException as error:
-        raise BenchError(f"{kind}={plugin.name}: {_first_line(error)}") from error
-    assert isinstance(config, plugin.config)
-    _check_lengths(kind, config)
-    return config
-
-
-def _check_lengths(kind: str, config: PluginConfig) -> None:
-    """Raise ``BenchError`` for a list in place of a tuple of another length, which OmegaConf lets pass."""
-    for name, annotation in typing.get_type_hints(type(config)).items():
-        parts = typing.get_args(annotation)
-        if typing.get_origin(annotation) is not tuple or Ellipsis in parts:
-            continue
-        value = getattr(config, name)
-        if len(value) != len(parts):
-            raise BenchError(f"{kind}.{name}={list(value)} has {len(value)} values; give {len(parts)}.")
-
-
 def check_overrides(overrides: Sequence[str]) -> list[Override]:
     """Parse overrides, load the plugins (the user's folders too), and check every choice of a group by name."""
     register_schema()
@@ -245,7 +216,7 @@ def check_overrides(overrides: Sequence[str]) -> list[Override]:
         parsed = OverridesParser.create().parse_overrides(list(overrides))
     except OverrideParseException as error:
         raise BenchError(
-            f"Can't read the override '{error.override}': {_first_line(error)}. Write key=value, for example "
+            f"Can't read the override '{error.override}': {first_line(error)}. Write key=value, for example "
             "stereo=sgbm; quote values with spaces or special characters."
         ) from error
     load_plugins(_plugin_folders(parsed))
@@ -309,7 +280,7 @@ def _explain(error: Exception, parsed: list[Override]) -> str:
     try:
         base = compose("config", choices)
     except (HydraException, OmegaConfBaseException):
-        return _first_line(cause)
+        return first_line(cause)
     for override in parsed:
         if override.key_or_group in _groups():
             continue
@@ -326,12 +297,8 @@ def _explain(error: Exception, parsed: list[Override]) -> str:
         try:
             compose("config", [*choices, override.input_line or ""])
         except (HydraException, OmegaConfBaseException) as wrong:
-            return f"{override.input_line}: {_first_line(wrong.__cause__ or wrong)}"
-    return _first_line(cause)
-
-
-def _first_line(error: BaseException) -> str:
-    return str(error).strip().split("\n", 1)[0].rstrip(".")
+            return f"{override.input_line}: {first_line(wrong.__cause__ or wrong)}"
+    return first_line(cause)
 
 
 def _make_paths_absolute(kind: str, mapping: dict[str, Any]) -> None:

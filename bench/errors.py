@@ -30,3 +30,8 @@ def require_choice(what: str, value: str, accepted: Iterable[str]) -> str:
     if value not in names:
         raise BenchError(f"{what}={value!r} is not one of {', '.join(names)}.{did_you_mean(str(value), names)}")
     return value
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of an error's text, without its full stop: what to quote of another library's error."""
+    return str(error).strip().split("\n", 1)[0].rstrip(".")

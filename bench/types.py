@@ -7,7 +7,7 @@ images are RGB uint8 (H, W, 3); depth and disparity maps are float32 (H, W) with
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -53,6 +53,38 @@ class StereoCamera:
         T = np.eye(4)
         T[:3, 3] = self.right_position
         return T
+
+
+@dataclass(frozen=True)
+class PinholeView:
+    """A camera to render from: ``T_cam_world`` (4, 4) float64 world to camera, intrinsics in px, pixel centres at
+    integers."""
+
+    T_cam_world: Float
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, camera: StereoCamera, T_world_cam: Float) -> PinholeView:
+        """The view of ``camera``'s intrinsics at pose ``T_world_cam``."""
+        T_cam_world = np.asarray(np.linalg.inv(T_world_cam), np.float64)
+        return cls(T_cam_world, camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+
+    def halved(self) -> PinholeView:
+        """The view whose pixels are the means of 2x2 blocks of this one (an odd last row or column is dropped)."""
+        return replace(
+            self,
+            fx=self.fx / 2,
+            fy=self.fy / 2,
+            cx=(self.cx - 0.5) / 2,
+            cy=(self.cy - 0.5) / 2,
+            width=self.width // 2,
+            height=self.height // 2,
+        )
 
 
 @dataclass(frozen=True)

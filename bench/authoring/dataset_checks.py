@@ -13,7 +13,8 @@ import numpy as np
 from bench.authoring import probes
 from bench.authoring.poses import require_trajectory
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
-from bench.types import Image, StereoCamera, StereoFrame
+from bench.io.images import grey
+from bench.types import StereoCamera, StereoFrame
 
 _LEAST_MATCHES = 30
 _WORST_ROW_OFFSET_PX = 1.0
@@ -151,16 +152,12 @@ def _rectified(subject: Subject) -> str | Note:
 def _offsets(frame: StereoFrame) -> np.ndarray:
     """Left minus right position (N, 2) in px of matched ORB corners of one pair."""
     orb, matcher = cv2.ORB.create(800), cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
-    (left, a), (right, b) = (orb.detectAndCompute(_grey(image), None) for image in (frame.left, frame.right))
+    (left, a), (right, b) = (orb.detectAndCompute(grey(image), None) for image in (frame.left, frame.right))
     if a is None or b is None:
         return np.zeros((0, 2))
     found = [match for match in matcher.match(a, b) if match.distance < 40]
     pairs = [np.subtract(left[match.queryIdx].pt, right[match.trainIdx].pt) for match in found]
     return np.array(pairs).reshape(-1, 2)
-
-
-def _grey(image: Image) -> Image:
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def _ground_truth(subject: Subject) -> str | Note:

@@ -16,8 +16,8 @@ import numpy as np
 from bench.authoring import probes
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.evaluation.run_evaluators import merge
+from bench.evaluation.saved_run import SavedRun
 from bench.runs.folder import RESOURCES_FILE, RunFolder
-from bench.runs.saved import SavedRun
 from bench.types import RenderedView, Trajectory
 
 _FRAMES = 4

@@ -12,9 +12,10 @@ from torch import Tensor
 
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.contracts.loss import LossValue
-from bench.contracts.rasterizer import PinholeView, Rendered
-from bench.mapping.ssim import gaussian_blur, ssim
-from bench.mapping.target import Target
+from bench.contracts.rasterizer import Rendered
+from bench.supervision.ssim import gaussian_blur, ssim
+from bench.supervision.target import Target
+from bench.types import PinholeView
 
 _SIZE, _ODD_SIZE = (24, 40), (33, 47)
 _IMAGES = ("color", "depth", "alpha")

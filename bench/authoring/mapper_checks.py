@@ -18,8 +18,7 @@ from plyfile import PlyData
 from bench import registry
 from bench.authoring import probes
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
-from bench.contracts.rasterizer import PinholeView
-from bench.types import DepthMap, Float, Keyframe, MappingReport, RenderedView, Trajectory
+from bench.types import DepthMap, Float, Keyframe, MappingReport, PinholeView, RenderedView, Trajectory
 
 _KEYFRAMES = 3
 _SEED = 0

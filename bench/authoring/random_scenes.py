@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bench.contracts.rasterizer import Gradients, PinholeView, Rasterizer, Rendered
-from bench.mapping.gaussians import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, planes_from
+from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
+from bench.gaussians.parameters import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, planes_from
+from bench.types import PinholeView
 
 GROUPS = {
     "means": MEAN,

@@ -14,8 +14,9 @@ from torch import Tensor
 from bench import registry
 from bench.authoring.random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, relative_l2, render_and_back
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
-from bench.contracts.rasterizer import Gradients, PinholeView, Rasterizer, Rendered
-from bench.mapping.gaussians import PLANES, planes_from
+from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
+from bench.gaussians.parameters import PLANES, planes_from
+from bench.types import PinholeView
 
 _SCENES = (SceneSpec(1, 150, 70, 41, 1.2, (0.05, 0.5)), SceneSpec(4, 150, 33, 17, 6.0, (0.6, 0.99)))
 # Isolated pixels may differ: an alpha just above 1/255 in one implementation is just below it in another.

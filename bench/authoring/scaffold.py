@@ -11,8 +11,8 @@ from string import Template
 from bench import registry
 from bench.config import config_folder
 from bench.errors import BenchError, require_choice
+from bench.io.atomic import write_text
 from bench.registry import KINDS
-from bench.runs.atomic import write_text
 
 TEMPLATES = Path(__file__).parent / "templates"
 # Words that Hydra's command line reads as values of their own.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from bench.cache.code_version import code_version
+from bench.code_version import code_version
 from bench.machine import what_computes
 from bench.registry import PluginConfig
 from bench.types import DepthMap, Image, StereoCamera, StereoFrame

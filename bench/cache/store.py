@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Literal
 
 from bench.cache.entry import DamagedEntryError, Stored, decode, encode
-from bench.file_lock import exclusive
-from bench.runs.atomic import TEMPORARY_PATTERN, atomic_path
+from bench.io.atomic import TEMPORARY_PATTERN, atomic_path
+from bench.io.file_lock import exclusive
 
 log = logging.getLogger(__name__)
 

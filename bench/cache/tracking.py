@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.cache.code_version import code_version, project_version
 from bench.cache.cost import Cost
 from bench.cache.entry import DamagedEntryError
 from bench.cache.recording import Recording, Said, digest_of
 from bench.cache.settings import CacheConfig
 from bench.cache.store import CacheStore
+from bench.code_version import code_version, project_version
 from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError

@@ -11,8 +11,8 @@ from rich.console import Console
 from bench.errors import BenchError
 from bench.evaluation.rescore import copy_for
 from bench.evaluation.run_evaluators import evaluate_run
+from bench.evaluation.saved_run import SavedRun
 from bench.report.scoring_bar import scoring_bar
-from bench.runs.saved import SavedRun
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
 

@@ -10,9 +10,9 @@ from typing import Any
 from rich.console import Console
 
 from bench.runs.config_file import CONFIG_FILE
-from bench.sweeps.launchers import count_of_jobs, split_launcher
+from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
+from bench.sweeps.launchers.make import make_runs
 from bench.sweeps.lookup import look_up
-from bench.sweeps.make import make_runs
 from bench.sweeps.plan import Plan, make_plan
 from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView

@@ -19,14 +19,14 @@ from bench.runs.config_file import CONFIG_FILE
 from bench.runs.folder import LOG_FILE
 from bench.runs.lock import only_one
 from bench.runs.status import read_status
+from bench.slam.system import run_system
 from bench.sweeps.combinations import plan_combinations, require_writable
 from bench.sweeps.experiment import EXPERIMENT
-from bench.sweeps.launchers import count_of_jobs, split_launcher
+from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
+from bench.sweeps.launchers.make import make_runs
 from bench.sweeps.lookup import look_up
-from bench.sweeps.make import make_runs
 from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView
-from bench.system import run_system
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
 

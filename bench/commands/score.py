@@ -15,8 +15,8 @@ from bench.errors import BenchError
 from bench.evaluation.score import score_pair
 from bench.evaluation.trajectory import ALIGNMENTS
 from bench.evaluation.trajectory_pair import FORMATS, read_pair
-from bench.foreign.score import score_folder
-from bench.foreign.settings import AXES, CONVENTIONS, NUMBERS, STATES
+from bench.external.score import score_folder
+from bench.external.settings import AXES, CONVENTIONS, NUMBERS, STATES
 from bench.report.scoring_bar import scoring_bar
 from bench.tables.collect import Column, Row, about_lost_frames, collect_row, static_camera_of
 from bench.tables.render import print_table

@@ -13,12 +13,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bench import registry
-from bench.config import RunConfig, compose_sweep, plugin_config_from
+from bench.config import RunConfig, compose_sweep
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.evaluation.stereo_backbone import require_truth
 from bench.evaluation.stereo_process import Broken, score_in_process
-from bench.runs.atomic import write_text
+from bench.io.atomic import write_text
+from bench.plugin_config import plugin_config_from
 from bench.runs.config_file import read_config
 from bench.tables.collect import find_runs
 from bench.tables.render import print_table, writer_for

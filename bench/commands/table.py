@@ -9,13 +9,13 @@ from typing import Any
 from rich.console import Console
 
 from bench.errors import BenchError, did_you_mean
-from bench.runs.atomic import write_text
+from bench.io.atomic import write_text
 from bench.tables.collect import DEFAULT_FOLDER, collect_row, find_runs
-from bench.tables.kept.file import SUFFIX, is_record_file, read_record_file, record_text
-from bench.tables.kept.rows import row_of_record
 from bench.tables.named.definitions import TABLE_NAMES
 from bench.tables.named.records import VIEW_GROUPS, read_runs
 from bench.tables.named.table import FORMATS, make_table
+from bench.tables.records.file import SUFFIX, is_record_file, read_record_file, record_text
+from bench.tables.records.rows import row_of_record
 from bench.tables.render import print_table, writer_for
 
 _ABOUT = f"""The paper's tables are {", ".join(TABLE_NAMES)}; without a name: one row a run.

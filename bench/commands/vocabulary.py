@@ -12,7 +12,7 @@ from bench import registry
 from bench.config import compose_run
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
-from bench.runs.atomic import atomic_path
+from bench.io.atomic import atomic_path
 from bench.tracking.loops.dbow2_text import write_dbow2
 from bench.tracking.loops.training_images import DEFAULT_FEATURES, DEFAULT_FRAMES, descriptors_of
 from bench.tracking.loops.vocabulary import train

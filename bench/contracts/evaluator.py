@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any
 
-from bench.runs.saved import SavedRun
+from bench.evaluation.saved_run import SavedRun
 
 
 class Evaluator(ABC):

@@ -20,8 +20,8 @@ import torch
 from torch import Tensor
 
 from bench.contracts.rasterizer import Rendered
-from bench.mapping.target import Target
 from bench.registry import PluginConfig
+from bench.supervision.target import Target
 
 
 @dataclass(frozen=True)

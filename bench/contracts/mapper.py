@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from bench.contracts.loss import LossTerm
-from bench.contracts.rasterizer import PinholeView, Rasterizer
-from bench.types import Keyframe, MappingReport, RenderedView, StereoCamera, Trajectory
+from bench.contracts.rasterizer import Rasterizer
+from bench.types import Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
 
 
 class Mapper(ABC):

@@ -3,46 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from bench.types import Float, StereoCamera
-
-
-@dataclass(frozen=True)
-class PinholeView:
-    """A camera to render from: ``T_cam_world`` (4, 4) float64 world to camera, intrinsics in px, pixel centres at
-    integers."""
-
-    T_cam_world: Float
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
-
-    @classmethod
-    def of(cls, camera: StereoCamera, T_world_cam: Float) -> PinholeView:
-        """The view of ``camera``'s intrinsics at pose ``T_world_cam``."""
-        T_cam_world = np.asarray(np.linalg.inv(T_world_cam), np.float64)
-        return cls(T_cam_world, camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-
-    def halved(self) -> PinholeView:
-        """The view whose pixels are the means of 2x2 blocks of this one (an odd last row or column is dropped)."""
-        return replace(
-            self,
-            fx=self.fx / 2,
-            fy=self.fy / 2,
-            cx=(self.cx - 0.5) / 2,
-            cy=(self.cy - 0.5) / 2,
-            width=self.width // 2,
-            height=self.height // 2,
-        )
+from bench.types import PinholeView
 
 
 @dataclass

@@ -11,9 +11,9 @@ from typing import Any
 
 from bench.config import compose_run, hash_of
 from bench.errors import BenchError
+from bench.evaluation.saved_run import SavedRun
 from bench.runs.config_file import read_config, write_config
 from bench.runs.folder import MAP_FILE, METRICS_FILE, PER_FRAME_FILE, PLOT_FILE
-from bench.runs.saved import SavedRun
 
 _OF_THE_RUN = ("holdout_every", "holdout_remainder", "rendered_depth")
 """Settings of the protocol that a run obeys while it maps and renders: scoring can't change them afterwards."""

@@ -6,17 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from bench import registry
-from bench.config import plugin_config_from
 from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.frame_states import count_states
-from bench.foreign.gaps import about_gaps
-from bench.foreign.identity import foreign_name
-from bench.runs.atomic import write_json, write_text
+from bench.evaluation.gaps import about_gaps
+from bench.evaluation.saved_run import ProgressReport, SavedRun
+from bench.io.atomic import write_json, write_text
+from bench.plugin_config import plugin_config_from
 from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE
 from bench.runs.provenance import describe_weights
-from bench.runs.saved import ProgressReport, SavedRun
 from bench.runs.status import read_json
+from bench.runs.system_name import foreign_name
 
 
 def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[str, Any]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from bench.evaluation.lpips_metric import MINIMUM_SIDE, Lpips, find_alexnet_weights
+from bench.evaluation.saved_run import SavedRun
 from bench.runs.provenance import sha256_of
-from bench.runs.saved import SavedRun
 
 
 def lpips_of(run: SavedRun) -> tuple[Lpips | None, dict[str, Any]]:

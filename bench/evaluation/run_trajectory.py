@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bench.foreign.identity import foreign_name
+from bench.evaluation.saved_run import SavedRun
 from bench.runs.folder import TRAJECTORY_FILE
-from bench.runs.saved import SavedRun
+from bench.runs.system_name import foreign_name
 from bench.types import Trajectory
 
 

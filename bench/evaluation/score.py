@@ -10,10 +10,10 @@ import numpy as np
 from bench.errors import BenchError
 from bench.evaluation.frame_states import stretches
 from bench.evaluation.kitti_odometry import kitti_odometry_error
-from bench.evaluation.protocol import trajectory_stamp
 from bench.evaluation.rpe import RpeResult, relative_pose_error
 from bench.evaluation.trajectory import AteResult, absolute_trajectory_error, static_camera_metrics
 from bench.evaluation.trajectory_pair import TrajectoryPair
+from bench.protocol import trajectory_stamp
 
 
 @dataclass(frozen=True)

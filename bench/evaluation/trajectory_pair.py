@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from bench.errors import BenchError
 from bench.evaluation.trajectory import MINIMUM_FRAMES
-from bench.geometry.frame_range import parse_frame_range
-from bench.geometry.kitti_files import read_kitti_times
-from bench.geometry.trajectory_io import read_kitti_poses, read_tum
+from bench.io.frame_range import parse_frame_range
+from bench.io.kitti_files import read_kitti_times
+from bench.io.trajectories import read_kitti_poses, read_tum
 from bench.types import Float, Trajectory
 
 FORMATS = ("auto", "kitti", "tum")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from bench.contracts.rasterizer import PinholeView
+from bench.types import PinholeView
 
 
 def normals_from_depth(depth: Tensor, known: Tensor, view: PinholeView) -> tuple[Tensor, Tensor]:

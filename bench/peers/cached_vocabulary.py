@@ -10,7 +10,7 @@ import pooch
 
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
-from bench.runs.atomic import atomic_path
+from bench.io.atomic import atomic_path
 from bench.tracking.loops.dbow2_text import write_dbow2
 from bench.tracking.loops.training_images import descriptors_of
 from bench.tracking.loops.vocabulary import train

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import IO
 
 import bench
-from bench.peers.memory import note_peak
 from bench.peers.messages import MalformedMessageError, Message, encode, read_message
+from bench.process_memory import note_peak
 
 # A child that has closed its output is about to end; this long is waited for the code that says why.
 _EXIT_GRACE_S = 2.0

@@ -14,9 +14,9 @@ from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
 from bench.geometry import se3
+from bench.io.images import grey
 from bench.peers.messages import Message
 from bench.peers.process import PeerFailure, PeerProcess
-from bench.tracking.features import grey
 from bench.types import Float, StereoFrame, TrackingResult, TrackingState, Trajectory
 
 log = logging.getLogger(__name__)

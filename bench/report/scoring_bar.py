@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from bench.runs.saved import ProgressReport
+from bench.evaluation.saved_run import ProgressReport
 
 
 @contextmanager

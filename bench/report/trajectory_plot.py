@@ -13,7 +13,7 @@ from bench.evaluation.frame_states import stretches
 from bench.evaluation.relative_motion import index_in_estimate
 from bench.evaluation.rpe import RpeResult
 from bench.evaluation.trajectory import AteResult
-from bench.runs.atomic import atomic_path
+from bench.io.atomic import atomic_path
 from bench.types import Float, Trajectory
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import torch
 
 from bench.errors import BenchError
-from bench.runs.atomic import TEMPORARY_PATTERN, atomic_path
+from bench.io.atomic import TEMPORARY_PATTERN, atomic_path
 
 CHECKPOINT_FOLDER = "checkpoint"
 _FILE = "state.pt"

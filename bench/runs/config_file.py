@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 from yaml import YAMLError  # type: ignore[import-untyped]  # comes with omegaconf, which raises it
 
 from bench.errors import BenchError
-from bench.runs.atomic import write_text
+from bench.io.atomic import write_text
 from bench.runs.config_text import parse_config
 
 CONFIG_FILE = "config.yaml"

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from bench.cache.code_version import code_version, project_version
+from bench.code_version import code_version, project_version
 from bench.machine import what_computes
 from bench.weights.checksum import sha256_of
 

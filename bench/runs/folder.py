@@ -20,8 +20,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from bench.errors import BenchError
-from bench.geometry.trajectory_io import write_kitti, write_tum
-from bench.runs.atomic import TEMPORARY_PATTERN, atomic_path, write_image, write_json, write_text
+from bench.io.atomic import TEMPORARY_PATTERN, atomic_path, write_image, write_json, write_text
+from bench.io.trajectories import write_kitti, write_tum
 from bench.runs.config_file import CONFIG_FILE, differing_keys, read_config, write_config
 from bench.runs.status import STATUS_FILE, current_status, read_status, write_status
 from bench.runs.trajectory_csv import as_csv

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from bench.peers.memory import forget_peaks, peers_peak_gb
+from bench.process_memory import forget_peaks, peers_peak_gb
 
 _STATUS = Path("/proc/self/status")
 # Writing 5 here sets the process's high-water mark back to what is resident now (proc(5), Linux >= 4.0).

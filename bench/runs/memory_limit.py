@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bench.peers.memory import peers_now_gb
+from bench.process_memory import peers_now_gb
 
 _POLL_S = 0.05
 _STATM = Path("/proc/self/statm")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from bench.errors import BenchError, require_choice
-from bench.runs.atomic import write_json
+from bench.io.atomic import write_json
 
 RunState = Literal["running", "done", "failed", "out_of_memory", "interrupted"]
 STATES: tuple[str, ...] = get_args(RunState)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from bench.errors import BenchError
-from bench.runs.tables_io import read_csv
+from bench.io.csv_files import read_csv
 from bench.types import Trajectory
 
 _POSE_COLUMNS = [f"T_{row}{column}" for row in range(3) for column in range(4)]

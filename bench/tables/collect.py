@@ -9,11 +9,11 @@ from typing import Any
 
 from bench.errors import BenchError
 from bench.evaluation.frame_states import count_states, describe_stretches
-from bench.foreign.identity import system_name
+from bench.io.csv_files import read_csv
 from bench.runs.config_file import read_config
 from bench.runs.folder import FRAME_COLUMNS, FRAMES_FILE, METRICS_FILE, RESOURCES_FILE
 from bench.runs.status import read_json, read_status
-from bench.runs.tables_io import read_csv
+from bench.runs.system_name import system_name
 
 DEFAULT_FOLDER = Path("results/runs")
 

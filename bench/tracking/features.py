@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -40,11 +39,6 @@ class Pyramid:
     def to_octave(self, xy: Float, octave: Ints) -> Float:
         """Positions (N, 2) in pixels of the full image -> in pixels of their octave; pixel centres at integers."""
         return (xy + 0.5) / self.ratio[octave] - 0.5
-
-
-def grey(image: npt.NDArray[np.uint8]) -> Grey:
-    """(H, W) uint8 luma of an RGB image (H, W, 3); a grey image passes through."""
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 class OrbExtractor:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO
 
 from bench.errors import BenchError
-from bench.file_lock import exclusive
+from bench.io.file_lock import exclusive
 from bench.weights.checksum import sha256_of
 
 Report = Callable[[int, int | None], None]

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from bench.errors import BenchError
-from bench.file_lock import exclusive
+from bench.io.file_lock import exclusive
 from bench.weights.archive import extract_member
 from bench.weights.checksum import sha256_of
 from bench.weights.download import Report, download

@@ -9,9 +9,9 @@ import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
-from bench.geometry.frame_range import select_frames
-from bench.geometry.images import IMAGE_SUFFIXES, read_rgb, require_one_size
-from bench.geometry.trajectory_io import read_kitti_poses, read_tum
+from bench.io.frame_range import select_frames
+from bench.io.images import IMAGE_SUFFIXES, read_rgb, require_one_size
+from bench.io.trajectories import read_kitti_poses, read_tum
 from bench.registry import PluginConfig, register
 from bench.types import Float, StereoCamera, StereoFrame, Trajectory
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError, require_choice
-from bench.geometry.frame_range import describe, select_frames
-from bench.geometry.images import read_rgb, require_one_size
-from bench.geometry.kitti_files import KittiCalibration, read_kitti_times
-from bench.geometry.lidar import check_scan_file, project_to_depth, read_scan
-from bench.geometry.trajectory_io import read_kitti_poses
+from bench.geometry.lidar import project_to_depth
+from bench.io.frame_range import describe, select_frames
+from bench.io.images import read_rgb, require_one_size
+from bench.io.kitti_files import KittiCalibration, read_kitti_times
+from bench.io.scans import check_scan_file, read_scan
+from bench.io.trajectories import read_kitti_poses
 from bench.registry import PluginConfig, register
 from bench.types import Float, Map, StereoCamera, StereoFrame, Trajectory
 

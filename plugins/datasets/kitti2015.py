@@ -10,9 +10,9 @@ import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError, require_choice
-from bench.geometry.frame_range import describe, parse_frame_range
-from bench.geometry.images import image_size, read_rgb
-from bench.geometry.kitti_files import parse_numbers, read_lines
+from bench.io.frame_range import describe, parse_frame_range
+from bench.io.images import image_size, read_rgb
+from bench.io.kitti_files import parse_numbers, read_lines
 from bench.registry import PluginConfig, register
 from bench.types import Float, Map, StereoCamera, StereoFrame
 

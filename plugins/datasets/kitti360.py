@@ -12,11 +12,12 @@ import numpy as np
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.geometry import se3
-from bench.geometry.frame_range import describe, select_frames
-from bench.geometry.images import read_rgb, require_one_size
-from bench.geometry.kitti360_files import Kitti360Calibration, NumberedPoses, read_cam0_poses, read_image_times
-from bench.geometry.lidar import check_scan_file, project_to_depth, read_scan
+from bench.geometry.lidar import project_to_depth
 from bench.geometry.scan_motion import compensate_motion
+from bench.io.frame_range import describe, select_frames
+from bench.io.images import read_rgb, require_one_size
+from bench.io.kitti360_files import Kitti360Calibration, NumberedPoses, read_cam0_poses, read_image_times
+from bench.io.scans import check_scan_file, read_scan
 from bench.registry import PluginConfig, register
 from bench.types import Float, Map, StereoFrame, Trajectory
 

@@ -7,11 +7,11 @@ from typing import Any
 from bench.contracts.evaluator import Evaluator
 from bench.evaluation.rpe import relative_pose_error
 from bench.evaluation.run_trajectory import estimate_and_truth
+from bench.evaluation.saved_run import SavedRun
 from bench.evaluation.trajectory import absolute_trajectory_error, static_camera_metrics
 from bench.registry import PluginConfig, register
 from bench.report.trajectory_plot import write_trajectory_plot
 from bench.runs.folder import PLOT_FILE
-from bench.runs.saved import SavedRun
 
 
 @register("evaluator", "ate")

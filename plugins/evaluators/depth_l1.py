@@ -9,8 +9,8 @@ import numpy as np
 from bench.contracts.evaluator import Evaluator
 from bench.evaluation.depth import depth_l1_cm
 from bench.evaluation.lidar_occlusion import unoccluded
+from bench.evaluation.saved_run import GROUPS, VIEW_OF_GROUP, SavedRun
 from bench.registry import PluginConfig, register
-from bench.runs.saved import GROUPS, VIEW_OF_GROUP, SavedRun
 
 
 @register("evaluator", "depth_l1")

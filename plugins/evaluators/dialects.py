@@ -16,8 +16,8 @@ from bench.evaluation.dialects.view import METRICS, Scores, score_view
 from bench.evaluation.lpips_metric import Lpips
 from bench.evaluation.run_lpips import lpips_of
 from bench.evaluation.run_trajectory import estimate_and_truth
+from bench.evaluation.saved_run import SavedRun
 from bench.registry import PluginConfig, register
-from bench.runs.saved import SavedRun
 
 VIEWS = ("own", "all")
 

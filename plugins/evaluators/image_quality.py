@@ -11,13 +11,13 @@ from bench.contracts.evaluator import Evaluator
 from bench.errors import BenchError
 from bench.evaluation.image import psnr, ssim
 from bench.evaluation.lpips_metric import Lpips
-from bench.evaluation.protocol import Protocol
 from bench.evaluation.regions import psnr_where, ssim_where, unit_range
 from bench.evaluation.run_lpips import lpips_of
+from bench.evaluation.saved_run import GROUPS, VIEW_OF_GROUP, SavedRun
 from bench.evaluation.ssim_flavours import ms_ssim, ssim_3dgs
+from bench.protocol import Protocol
 from bench.registry import PluginConfig, register
 from bench.runs.folder import View
-from bench.runs.saved import GROUPS, VIEW_OF_GROUP, SavedRun
 from bench.types import Image, Mask
 
 Scores = dict[tuple[View, int], dict[str, float | None]]

@@ -7,8 +7,8 @@ from typing import Any
 from bench.contracts.evaluator import Evaluator
 from bench.evaluation.kitti_odometry import kitti_odometry_error
 from bench.evaluation.run_trajectory import estimate_and_truth
+from bench.evaluation.saved_run import SavedRun
 from bench.registry import PluginConfig, register
-from bench.runs.saved import SavedRun
 
 
 @register("evaluator", "kitti_odometry")

@@ -14,8 +14,8 @@ from bench.contracts.evaluator import Evaluator
 from bench.errors import BenchError
 from bench.evaluation.depth import depth_l1_cm
 from bench.evaluation.regions import distance_bins, psnr_where
+from bench.evaluation.saved_run import GROUPS, VIEW_OF_GROUP, SavedRun
 from bench.registry import PluginConfig, register
-from bench.runs.saved import GROUPS, VIEW_OF_GROUP, SavedRun
 from bench.types import Map, Mask
 
 Scores = dict[str, dict[str, float]]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from bench.contracts.evaluator import Evaluator
+from bench.evaluation.saved_run import SavedRun
 from bench.registry import PluginConfig, register
 from bench.runs.folder import RESOURCES_FILE
-from bench.runs.saved import SavedRun
 
 REPORTED = ("peak_memory_gb", "tracking_s_per_frame", "stereo_s_per_frame", "mapping_s_per_frame", "wall_s_per_frame")
 

@@ -9,8 +9,8 @@ from bench.contracts.evaluator import Evaluator
 from bench.errors import BenchError
 from bench.evaluation.rpe import relative_pose_error
 from bench.evaluation.run_trajectory import estimate_and_truth
+from bench.evaluation.saved_run import SavedRun
 from bench.registry import PluginConfig, register
-from bench.runs.saved import SavedRun
 
 
 @dataclass(frozen=True)

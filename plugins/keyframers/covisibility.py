@@ -9,8 +9,9 @@ import numpy as np
 from bench.contracts.keyframer import Keyframer
 from bench.errors import BenchError
 from bench.geometry import se3
+from bench.io.images import grey
 from bench.registry import PluginConfig, register
-from bench.tracking.features import Descriptors, Ints, OrbExtractor, grey
+from bench.tracking.features import Descriptors, Ints, OrbExtractor
 from bench.tracking.relocalise import match_descriptors
 from bench.types import Float, KeyframeDecision, StereoFrame, TrackingResult
 

@@ -10,8 +10,8 @@ import torch
 from bench.contracts.loss import LossConfig, LossTerm, LossValue, runs_in_core
 from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError, require_choice
-from bench.mapping.target import Target
 from bench.registry import register
+from bench.supervision.target import Target
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from torch import Tensor
 from bench.contracts.loss import LossConfig, LossValue, TorchLoss, runs_in_core
 from bench.contracts.rasterizer import Rendered
 from bench.geometry.normals import normals_from_depth
-from bench.mapping.target import Target
 from bench.registry import register
+from bench.supervision.target import Target
 
 # A pixel's rendered normal means something where the pixel is covered.
 COVERED = 0.5

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from bench.contracts.loss import LossConfig, TorchLoss
-from bench.mapping.target import Target
 from bench.registry import register
+from bench.supervision.target import Target
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from bench.contracts.loss import LossConfig, LossValue, TorchLoss, runs_in_core
 from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError
 from bench.geometry.normals import normals_from_depth
-from bench.mapping.target import Target
 from bench.registry import register
+from bench.supervision.target import Target
 from plugins.losses.normal import COVERED
 
 

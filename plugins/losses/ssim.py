@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from bench.contracts.loss import LossConfig, TorchLoss
-from bench.mapping.ssim import ssim
-from bench.mapping.target import Target
 from bench.registry import register
+from bench.supervision.ssim import ssim
+from bench.supervision.target import Target
 
 
 @dataclass(frozen=True)

@@ -15,17 +15,17 @@ import torch
 
 from bench.contracts.loss import LossTerm
 from bench.contracts.mapper import Mapper
-from bench.contracts.rasterizer import PinholeView, Rasterizer
+from bench.contracts.rasterizer import Rasterizer
 from bench.errors import BenchError
-from bench.mapping.anchors import KeyframeAnchors
-from bench.mapping.gaussians import OPACITY_LOGIT, PLANES
-from bench.mapping.loss_stack import LossStack
-from bench.mapping.optimizer import LearningRates, MapOptimizer
-from bench.mapping.ply import write_ply
-from bench.mapping.seeding import SeedConfig, seed_gaussians
-from bench.mapping.target import Target, target_of
+from bench.gaussians.anchors import KeyframeAnchors
+from bench.gaussians.loss_stack import LossStack
+from bench.gaussians.optimizer import LearningRates, MapOptimizer
+from bench.gaussians.parameters import OPACITY_LOGIT, PLANES
+from bench.gaussians.ply import write_ply
+from bench.gaussians.seeding import SeedConfig, seed_gaussians
 from bench.registry import PluginConfig, register
-from bench.types import Keyframe, MappingReport, RenderedView, StereoCamera, Trajectory
+from bench.supervision.target import Target, target_of
+from bench.types import Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
 
 log = logging.getLogger(__name__)
 

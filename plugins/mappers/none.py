@@ -7,10 +7,10 @@ from pathlib import Path
 
 from bench.contracts.loss import LossTerm
 from bench.contracts.mapper import Mapper
-from bench.contracts.rasterizer import PinholeView, Rasterizer
+from bench.contracts.rasterizer import Rasterizer
 from bench.errors import BenchError
 from bench.registry import PluginConfig, register
-from bench.types import Keyframe, MappingReport, RenderedView, StereoCamera, Trajectory
+from bench.types import Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
 
 
 @register("mapper", "none")

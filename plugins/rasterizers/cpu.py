@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bench.contracts.rasterizer import Gradients, PinholeView, Rasterizer, Rendered
+from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
 from bench.errors import BenchError
 from bench.registry import PluginConfig, register
+from bench.types import PinholeView
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ import importlib.util
 import torch
 from torch import Tensor
 
-from bench.contracts.rasterizer import PinholeView
-from bench.mapping.gaussians import NamedParameters
+from bench.gaussians.autograd import AutogradRasterizer, perturbed
+from bench.gaussians.parameters import NamedParameters
 from bench.registry import PluginConfig, register
-from bench.rendering.autograd import AutogradRasterizer, perturbed
+from bench.types import PinholeView
 
 # gsplat's own alpha limits (1/255 and 0.999) and its end of a pixel (transmittance 1e-4) are constants of its kernels.
 NEAR_M = 0.2

@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from bench.contracts.rasterizer import PinholeView
-from bench.mapping.gaussians import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, SH_C0
+from bench.gaussians.autograd import AutogradRasterizer, perturbed
+from bench.gaussians.parameters import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, SH_C0
 from bench.registry import PluginConfig, register
-from bench.rendering.autograd import AutogradRasterizer, perturbed
+from bench.types import PinholeView
 
 
 @register("rasterizer", "reference")

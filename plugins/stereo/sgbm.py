@@ -9,6 +9,7 @@ import numpy as np
 
 from bench.contracts.stereo import StereoBackbone
 from bench.errors import BenchError, require_choice
+from bench.io.images import grey
 from bench.registry import PluginConfig, register
 from bench.stereo.left_right import left_right_checked
 from bench.types import Image, Map
@@ -86,7 +87,7 @@ class Sgbm(StereoBackbone):
     def disparity(self, left: Image, right: Image) -> Map:
         """Disparity of the left image in pixels, (H, W) float32, NaN where unmatched or inconsistent."""
         if not self._config.color:
-            left, right = _gray(left), _gray(right)
+            left, right = grey(left), grey(right)
         if self._config.full_check:
             return left_right_checked(self._match, left, right, self._config.lr_max_diff)
         return self._match(left, right)
@@ -99,7 +100,3 @@ class Sgbm(StereoBackbone):
         disparity = fixed.astype(np.float32) / _FRACTIONS
         disparity[fixed <= 0] = np.nan
         return disparity
-
-
-def _gray(image: Image) -> Image:
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)

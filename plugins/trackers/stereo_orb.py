@@ -11,8 +11,8 @@ import numpy as np
 from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
+from bench.io.images import grey
 from bench.registry import PluginConfig, register
-from bench.tracking.features import grey
 from bench.tracking.loops import vocabulary
 from bench.tracking.loops.closer import Closure, LoopCloser
 from bench.tracking.loops.pose_graph import import_gtsam

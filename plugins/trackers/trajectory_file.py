@@ -12,7 +12,7 @@ from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError, require_choice
 from bench.geometry.axis_conventions import suspected_convention
-from bench.geometry.trajectory_io import read_kitti_poses, read_tum
+from bench.io.trajectories import read_kitti_poses, read_tum
 from bench.registry import PluginConfig, register
 from bench.types import Float, StereoFrame, TrackingResult, Trajectory
 

@@ -16,7 +16,7 @@ from bench.cache.entry import DamagedEntryError
 from bench.cache.recording import Recording, digest_of
 from bench.config import compose_run
 from bench.evaluation.run_evaluators import evaluate_run
-from bench.system import run_system
+from bench.slam.system import run_system
 from bench.types import StereoFrame, TrackingResult, Trajectory
 from plugins.datasets.street import Street
 from plugins.trackers.stereo_orb import StereoOrb
@@ -101,7 +101,7 @@ def test_a_damaged_recording_is_made_again(tmp_path: Path, tracked: list[int]) -
 
 
 def test_a_run_that_stops_early_leaves_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.system._Run._take", lambda *nothing: 1 / 0)
+    monkeypatch.setattr("bench.slam.system._Run._take", lambda *nothing: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run(tmp_path, "one", "pipeline=sequential")
     assert not list((tmp_path / "cache").rglob("tracker/*/*/*.entry"))

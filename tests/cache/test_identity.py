@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from network_plugins import CountingConfig, CountingStereo
 
-from bench.cache import code_version as module
-from bench.cache.code_version import code_version
+from bench import code_version as module
 from bench.cache.identity import Identity
+from bench.code_version import code_version
 from bench.types import DepthMap, StereoCamera, StereoFrame
 from plugins.stereo.sgbm import Sgbm
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from bench import registry
-from bench.config import compose_run, compose_sweep, plugin_config_from, register_schema
+from bench.config import compose_run, compose_sweep, register_schema
 from bench.errors import BenchError
+from bench.plugin_config import plugin_config_from
 from bench.registry import PluginConfig, register
 from plugins.stereo.sgbm import SgbmConfig
 

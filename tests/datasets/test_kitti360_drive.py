@@ -21,7 +21,7 @@ from kitti360_disk import (
 )
 
 from bench.cli import main
-from bench.runs.saved import SavedRun
+from bench.evaluation.saved_run import SavedRun
 from plugins.datasets.kitti360 import Kitti360, Kitti360Config
 from plugins.datasets.street import Street, StreetConfig
 

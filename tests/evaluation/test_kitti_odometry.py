@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.evaluation.kitti_odometry import SHORT, STANDARD, SegmentErrors, kitti_odometry_error, segment_errors
-from bench.geometry.trajectory_io import read_kitti_poses
+from bench.io.trajectories import read_kitti_poses
 from bench.types import Trajectory
 
 

@@ -15,8 +15,8 @@ from tiny_run import HELD_OUT, LEFT_ERROR, LOST, NUMBERS, RIGHT_ERROR, write_tin
 
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run, merge
+from bench.evaluation.saved_run import SavedRun
 from bench.runs.folder import RunFolder, picture_path
-from bench.runs.saved import SavedRun
 
 NONE_DONE = {"tracked": 0, "ok": 0, "weak": 0, "lost": 0, "lost_stretches": [], "mapped": 0}
 

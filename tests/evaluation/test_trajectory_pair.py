@@ -10,7 +10,7 @@ import pytest
 from bench.errors import BenchError
 from bench.evaluation.score import score_pair
 from bench.evaluation.trajectory_pair import detect_format, read_pair
-from bench.geometry.trajectory_io import write_kitti, write_tum
+from bench.io.trajectories import write_kitti, write_tum
 from bench.types import Trajectory
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from bench.contracts.rasterizer import PinholeView, Rendered
-from bench.mapping.target import Target
+from bench.contracts.rasterizer import Rendered
+from bench.supervision.target import Target
+from bench.types import PinholeView
 
 
 def view_of(height: int, width: int, focal: float = 20.0) -> PinholeView:

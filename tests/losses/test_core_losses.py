@@ -18,7 +18,7 @@ from torch import Tensor
 from bench import _native
 from bench.contracts.loss import LossTerm, LossValue, TorchLoss, runs_in_core
 from bench.contracts.rasterizer import Rendered
-from bench.mapping.target import Target
+from bench.supervision.target import Target
 from plugins.losses.geo import GeoConfig, GeoLoss
 from plugins.losses.normal import NormalConfig, NormalLoss
 from plugins.losses.smooth import SmoothConfig, SmoothLoss

@@ -11,10 +11,11 @@ from loss_cases import flat_target, in_double, random_case, view_of
 from torch import Tensor
 
 from bench.contracts.loss import LossTerm
-from bench.contracts.rasterizer import PinholeView, Rendered
+from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError
 from bench.geometry.normals import normals_from_depth
-from bench.mapping.target import Target
+from bench.supervision.target import Target
+from bench.types import PinholeView
 from plugins.losses.geo import GeoConfig, GeoLoss
 from plugins.losses.normal import NormalConfig, NormalLoss
 from plugins.losses.smooth import SmoothConfig, SmoothLoss

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from bench import registry
 from bench.contracts.loss import LossConfig, TorchLoss
-from bench.mapping.loss_stack import LossStack
-from bench.mapping.target import Target
+from bench.gaussians.loss_stack import LossStack
 from bench.registry import register
+from bench.supervision.target import Target
 from plugins.losses.geo import GeoConfig, GeoLoss
 from plugins.losses.normal import NormalConfig, NormalLoss
 from plugins.losses.rgb import RgbConfig, RgbLoss

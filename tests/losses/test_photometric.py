@@ -10,10 +10,10 @@ from torch import Tensor
 
 from bench import registry
 from bench.contracts.rasterizer import Rendered
-from bench.mapping.loss_stack import LossStack
-from bench.mapping.photometric import photometric
-from bench.mapping.ssim import local_statistics, ssim
-from bench.mapping.target import Target
+from bench.gaussians.loss_stack import LossStack
+from bench.supervision.photometric import photometric
+from bench.supervision.ssim import local_statistics, ssim
+from bench.supervision.target import Target
 from plugins.losses.rgb import RgbConfig, RgbLoss
 from plugins.losses.ssim import SsimConfig, SsimLoss
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.peers.memory import peers_peak_gb
 from bench.peers.messages import Message
 from bench.peers.process import PeerFailure, PeerProcess
+from bench.process_memory import peers_peak_gb
 from bench.runs.memory import PeakMemory
 
 FAKE = [sys.executable, "-P", str(Path(__file__).parent / "fake_peer.py")]

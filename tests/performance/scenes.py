@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bench.contracts.rasterizer import PinholeView
-from bench.mapping.gaussians import planes_from
+from bench.gaussians.parameters import planes_from
+from bench.types import PinholeView
 
 ROUNDS = 20
 REPORT = Path("results/performance")

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 
 from bench.contracts.loss import LossTerm, LossValue, TorchLoss
-from bench.contracts.rasterizer import PinholeView, Rendered
-from bench.mapping.target import Target
+from bench.contracts.rasterizer import Rendered
+from bench.supervision.target import Target
+from bench.types import PinholeView
 from plugins.losses.geo import GeoConfig, GeoLoss
 from plugins.losses.normal import NormalConfig, NormalLoss
 from plugins.losses.smooth import SmoothConfig, SmoothLoss

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from bench.contracts.rasterizer import Gradients, Rendered
-from bench.mapping.loss_stack import LossStack
-from bench.mapping.optimizer import LearningRates, MapOptimizer
-from bench.mapping.ssim import local_statistics, ssim
-from bench.mapping.target import Target
+from bench.gaussians.loss_stack import LossStack
+from bench.gaussians.optimizer import LearningRates, MapOptimizer
 from bench.registry import lookup
+from bench.supervision.ssim import local_statistics, ssim
+from bench.supervision.target import Target
 from plugins.rasterizers.cpu import CpuRasterizer, CpuRasterizerConfig
 from tests.performance.scenes import VIEW, elongated, interleaved, isotropic, report
 

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from bench.errors import BenchError
+from bench.evaluation.saved_run import SavedRun
 from bench.runs.folder import RunFolder, color_to_8bit, depth_to_16bit
-from bench.runs.saved import SavedRun
 from bench.runs.status import RunStatus, current_status, read_status, write_status
 from bench.types import RenderedView, Trajectory
 
@@ -161,14 +161,14 @@ def test_trajectories_open_in_evo(tmp_path: Path) -> None:
 
 def test_the_log_holds_what_was_logged_meanwhile(tmp_path: Path) -> None:
     folder = RunFolder.create(tmp_path, CONFIG, "abc", rerun=False)
-    logger = logging.getLogger("bench.system")
+    logger = logging.getLogger("bench.slam.system")
     level = logging.getLogger("bench").level
     with folder.attach_log():
         logger.info("frame 3 tracked")
         logging.getLogger("skimage").warning("slow path")
     logger.error("after the run")
     text = (tmp_path / "log.txt").read_text()
-    assert "INFO bench.system: frame 3 tracked" in text
+    assert "INFO bench.slam.system: frame 3 tracked" in text
     assert "WARNING skimage: slow path" in text
     assert "after the run" not in text
     assert logging.getLogger("bench").level == level

@@ -16,8 +16,8 @@ import pytest
 from fake_bench import FULL, Bench, is_running, wait_until
 
 from bench.cli import main
-from bench.sweeps import launchers
-from bench.sweeps.launcher_config import compose_launcher
+from bench.sweeps.launchers import choice as launchers
+from bench.sweeps.launchers.config import compose_launcher
 
 MakeBench = Callable[[str], Bench]
 # One machine and its loopback are the network.

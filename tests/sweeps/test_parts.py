@@ -14,9 +14,9 @@ from bench.errors import BenchError
 from bench.sweeps import child, oom_kills
 from bench.sweeps.child import environment_of
 from bench.sweeps.claim import Claim, claimed_by, is_claimed
-from bench.sweeps.gpus import gpus_of_this_machine
 from bench.sweeps.job import Job, Outcome
-from bench.sweeps.slots import Slots
+from bench.sweeps.launchers.gpus import gpus_of_this_machine
+from bench.sweeps.launchers.slots import Slots
 from bench.sweeps.sweep import Choice, Sweep
 
 

@@ -13,12 +13,12 @@ from fake_runs import config, make_run, metrics
 
 from bench.cli import main
 from bench.errors import BenchError
-from bench.runs.atomic import write_json
-from bench.tables.kept.file import SUFFIX, read_record_file
-from bench.tables.kept.portable import portable_config, portable_text
-from bench.tables.kept.shared import in_common, together, without
+from bench.io.atomic import write_json
 from bench.tables.named.definitions import DIALECTS, TABLES
 from bench.tables.named.table import FORMATS, make_table
+from bench.tables.records.file import SUFFIX, read_record_file
+from bench.tables.records.portable import portable_config, portable_text
+from bench.tables.records.shared import in_common, together, without
 
 KEPT = sorted((Path(__file__).parents[2] / "results" / "tables").glob(f"*{SUFFIX}"))
 OF_THE_PAPER = [file for file in KEPT if file.name.removesuffix(SUFFIX) in (*TABLES, DIALECTS)]

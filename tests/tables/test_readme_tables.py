@@ -15,14 +15,15 @@ from fake_runs import config, make_run, metrics
 
 from bench.cli import main
 from bench.errors import BenchError
-from bench.runs.atomic import write_json
-from bench.tables.kept.folder import read_provenance
+from bench.io.atomic import write_json
 from bench.tables.named.table import make_table
-from bench.tables.readme.blocks import Block, update
-from bench.tables.readme.columns import by_settings, figures, number, read_kept
-from bench.tables.readme.definitions import BLOCKS
+from bench.tables.records.folder import read_provenance
 from bench.tracking.loops.closer import Closure
 from plugins.trackers.stereo_orb import StereoOrb
+from tools.readme_tables.blocks import Block, update
+from tools.readme_tables.columns import by_settings, figures, number, read_kept
+from tools.readme_tables.command import main as readme_tables
+from tools.readme_tables.definitions import BLOCKS
 
 ROOT = Path(__file__).parents[2]
 SIMPLE = {"one": Block(("a.txt",), lambda kept, folder: f"{(kept / 'a.txt').read_text()} {folder.name}")}
@@ -35,7 +36,7 @@ def rows_of(markdown: str) -> list[list[str]]:
 
 def test_the_readme_is_up_to_date() -> None:
     updated = update(ROOT / "README.md", ROOT / "results" / "tables", BLOCKS)
-    assert not updated.stale, f"stale: {', '.join(updated.stale)}; run `bgs-bench readme` in the repository"
+    assert not updated.stale, f"stale: {', '.join(updated.stale)}; run python -m tools.readme_tables"
 
 
 def test_only_what_is_between_the_markers_changes(tmp_path: Path) -> None:
@@ -182,7 +183,7 @@ def test_stereo_and_performance_come_from_their_own_files(tmp_path: Path, capsys
         (benchmarks / f"{name}.json").write_text(json.dumps({"ratios": {text: 40.95}}))
     file = tmp_path / "R.md"
     file.write_text("<!-- table: performance -->\n<!-- end -->\n")
-    assert main(["readme", str(file), "--performance", str(benchmarks)]) == 2
+    assert readme_tables([str(file), "--performance", str(benchmarks)]) == 2
     assert "performance.json lacks the ratio 'forward + backward, isotropic 100 k / mm' of rasterizer" in (
         capsys.readouterr().err
     )
@@ -206,14 +207,14 @@ def test_the_command_rewrites_and_checks(kept: Path, capsys: pytest.CaptureFixtu
     file = kept.parents[1] / "README.md"
     before = "a\n<!-- table: trackers -->\nold\n<!-- end -->\n<!-- table: ablation -->\nkept\n<!-- end -->\n"
     file.write_text(before)
-    assert main(["readme", str(file), "--check"]) == 1
-    assert "stale: trackers; run `bgs-bench readme`" in capsys.readouterr().out
+    assert readme_tables([str(file), "--check"]) == 1
+    assert "stale: trackers; run `python -m tools.readme_tables`" in capsys.readouterr().out
     assert file.read_text() == before
-    assert main(["readme", str(file)]) == 0
+    assert readme_tables([str(file)]) == 0
     assert "left as it is: ablation: there is no " in capsys.readouterr().out
     assert "0.200 m" in file.read_text()
     assert file.read_text().endswith("-->\nkept\n<!-- end -->\n")
-    assert main(["readme", str(file), "--check"]) == 0
+    assert readme_tables([str(file), "--check"]) == 0
 
 
 def test_runs_of_no_row_and_lacking_numbers_are_named(kept: Path) -> None:

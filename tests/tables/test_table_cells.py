@@ -9,9 +9,9 @@ import pytest
 from bench.config import compose_run
 from bench.errors import BenchError
 from bench.runs.config_file import NO_PART_OF_THE_RUN, write_config
-from bench.tables.kept.folder import read_folder
 from bench.tables.named.definitions import TABLES, cells, named_table
 from bench.tables.named.overrides import belongs, holds, row_of
+from bench.tables.records.folder import read_folder
 
 
 def test_cells_of_the_ablation() -> None:

@@ -11,7 +11,7 @@ import pytest
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
 from bench.geometry import se3
-from bench.geometry.trajectory_io import write_kitti, write_tum
+from bench.io.trajectories import write_kitti, write_tum
 from bench.registry import lookup
 from bench.types import StereoCamera, TrackingResult, Trajectory
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from bench.io.images import grey
 from bench.registry import lookup
-from bench.tracking.features import grey
 from bench.tracking.odometry import OdometrySettings, StereoOdometry
 from bench.types import StereoCamera
 

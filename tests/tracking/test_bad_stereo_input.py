@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.io.images import grey
 from bench.registry import lookup
-from bench.tracking.features import Features, OrbExtractor, grey
+from bench.tracking.features import Features, OrbExtractor
 from bench.tracking.odometry import StereoOdometry
 from bench.tracking.pair_check import fault_of_pair
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from bench import _native
-from bench.tracking.features import OrbExtractor, grey
+from bench.io.images import grey
+from bench.tracking.features import OrbExtractor
 from bench.tracking.orb_tests import comparisons
 
 

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from bench.io.images import grey
 from bench.types import Float, Image, Map, StereoCamera
 
 _CORNERS = 600
@@ -29,7 +30,7 @@ def motion_between(before: Image, depth_before: Map, now: Image, camera: StereoC
     in a pyramid, forth and back) and resected: EPnP in RANSAC, then least squares over those that agree. None when too
     few of them agree on one rigid motion. The same input gives the same bits: OpenCV's RANSAC has a fixed seed.
     """
-    grey_before, grey_now = _grey(before), _grey(now)
+    grey_before, grey_now = grey(before), grey(now)
     corners = _corners(grey_before, depth_before)
     if len(corners) < _LEAST_INLIERS:
         return None
@@ -88,10 +89,6 @@ def _follow(
     guess = places.copy()
     there, status, _ = cv2.calcOpticalFlowPyrLK(first, second, places, guess, winSize=_WINDOW, maxLevel=_PYRAMID_LEVELS)
     return np.asarray(there, np.float32), np.asarray(status)[:, 0] == 1
-
-
-def _grey(image: Image) -> npt.NDArray[np.uint8]:
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def _points(pixels: npt.NDArray[np.float32], depth: Map, camera: StereoCamera) -> Float:

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.foreign.identity import system_name
+from bench.runs.system_name import system_name
 from bench.tables.collect import Row
-from bench.tables.kept.made import made_in_words
-from bench.tables.kept.record import RunRecord, is_number
 from bench.tables.named.definitions import ATE, IMAGE, Metric
 from bench.tables.named.fill import Statistic, choose_runs, statistic
 from bench.tables.named.grid import MINUS, OURS, Grid, GridCell, Line, heading
 from bench.tables.named.links import relative
 from bench.tables.named.settings import scored_config, settings_of
+from bench.tables.records.made import made_in_words
+from bench.tables.records.record import RunRecord, is_number
 from bench.tables.render import UNKNOWN, footnotes
 
 METRICS = (*IMAGE, ATE)

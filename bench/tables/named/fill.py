@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.tables.kept.record import RunRecord
 from bench.tables.named.definitions import Metric, NamedTable
 from bench.tables.named.foreign import with_foreign_rows
 from bench.tables.named.overrides import row_of
@@ -25,6 +24,7 @@ from bench.tables.named.settings import (
     settings_of,
     varied_parts,
 )
+from bench.tables.records.record import RunRecord
 
 Place = tuple[str, str]
 """A row's label and a sequence."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from bench.foreign.identity import foreign_name, same_system
+from bench.runs.system_name import foreign_name, same_system
 from bench.tables.named.definitions import MethodRow, NamedTable
 
 

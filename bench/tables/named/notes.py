@@ -6,12 +6,12 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 from bench.tables.collect import Row
-from bench.tables.kept.made import made_in_words
-from bench.tables.kept.record import RunRecord
 from bench.tables.named.definitions import NamedTable
 from bench.tables.named.fill import FilledTable, differences
 from bench.tables.named.grid import CROSS, DAGGER, Grid, PublishedNumbers
 from bench.tables.named.published import AVERAGE, PublishedValue
+from bench.tables.records.made import made_in_words
+from bench.tables.records.record import RunRecord
 from bench.tables.render import footnotes
 
 # Of a run's settings, what a reader wants to know first; the rest is in each run's config.yaml.

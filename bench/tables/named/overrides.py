@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bench.foreign.identity import foreign_name
+from bench.runs.system_name import foreign_name
 from bench.tables.named.definitions import MethodRow, NamedTable
 from bench.tables.named.foreign import is_of_foreign
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from bench.errors import BenchError
 from bench.runs.config_file import CONFIG_FILE
 from bench.tables.collect import DEFAULT_FOLDER, find_runs
-from bench.tables.kept.file import KeptRuns, in_order, is_record_file, read_record_file
-from bench.tables.kept.folder import read_folder
-from bench.tables.kept.record import VIEW_GROUPS as VIEW_GROUPS
+from bench.tables.records.file import KeptRuns, in_order, is_record_file, read_record_file
+from bench.tables.records.folder import read_folder
+from bench.tables.records.record import VIEW_GROUPS as VIEW_GROUPS
 
 
 def read_runs(paths: Sequence[Path], views: str | None = None) -> KeptRuns:

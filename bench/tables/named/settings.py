@@ -7,10 +7,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from bench.foreign.identity import is_content
 from bench.runs.config_file import NO_PART_OF_THE_RUN
-from bench.tables.kept.record import RunRecord
+from bench.runs.system_name import is_content
 from bench.tables.named.definitions import NamedTable
+from bench.tables.records.record import RunRecord
 
 Settings = dict[str, str]
 """Dotted names of a config's values, and the values as text."""

@@ -10,9 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from bench.errors import BenchError, require_choice
-from bench.runs.atomic import write_text
-from bench.tables.kept.file import SUFFIX, KeptRuns, lead_to, record_text
-from bench.tables.kept.record import VIEW_GROUPS
+from bench.io.atomic import write_text
 from bench.tables.named.definitions import DIALECTS, named_table
 from bench.tables.named.dialects import dialect_csv, dialect_grid, dialect_notes, scored_groups
 from bench.tables.named.fill import fill, is_of
@@ -26,6 +24,8 @@ from bench.tables.named.overrides import row_of
 from bench.tables.named.page import as_html
 from bench.tables.named.records import read_runs
 from bench.tables.named.tidy import as_csv
+from bench.tables.records.file import SUFFIX, KeptRuns, lead_to, record_text
+from bench.tables.records.record import VIEW_GROUPS
 
 _WRITERS: dict[str, Callable[[Document], str]] = {"md": as_markdown, "tex": as_latex, "html": as_html}
 FORMATS = ("md", "csv", "tex", "html")

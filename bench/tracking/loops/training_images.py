@@ -6,7 +6,8 @@ import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
-from bench.tracking.features import Descriptors, OrbExtractor, grey
+from bench.io.images import grey
+from bench.tracking.features import Descriptors, OrbExtractor
 
 DEFAULT_FRAMES = 30
 DEFAULT_FEATURES = 1000

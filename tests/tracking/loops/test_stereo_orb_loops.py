@@ -12,10 +12,10 @@ import pytest
 import torch  # noqa: F401 - before gtsam, as in the bench
 
 import plugins.trackers.stereo_orb as plugin_file
-from bench.config import plugin_config_from
 from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
+from bench.plugin_config import plugin_config_from
 from bench.registry import lookup
 from bench.tracking.loops.settings import LoopSettings
 from bench.tracking.loops.vocabulary import train

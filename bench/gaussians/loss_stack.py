@@ -1,0 +1,50 @@
+"""The weighted sum of a run's loss terms, with its gradients by the rendered images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from bench.contracts.loss import LossTerm
+from bench.contracts.rasterizer import Rendered
+from bench.supervision.photometric import photometric
+from bench.supervision.target import Target
+
+
+def _add(total: Tensor | None, grad: Tensor | None, weight: float) -> Tensor | None:
+    if grad is None:
+        return total
+    return grad * weight if total is None else total.add_(grad, alpha=weight)
+
+
+class LossStack:
+    """Evaluates the terms; all photometric ones in one fused pass."""
+
+    def __init__(self, terms: Sequence[LossTerm]) -> None:
+        active = [term for term in terms if term.config.weight != 0.0]
+        self._photometric = [term for term in active if term.photometric is not None]
+        self._others = [term for term in active if term.photometric is None]
+        self._l1 = sum(t.config.weight * t.photometric[0] for t in self._photometric if t.photometric)
+        self._ssim = sum(t.config.weight * t.photometric[1] for t in self._photometric if t.photometric)
+
+    def evaluate(
+        self, rendered: Rendered, target: Target
+    ) -> tuple[dict[str, float], tuple[Tensor | None, Tensor | None, Tensor | None]]:
+        """Unweighted value of each term by name, and the weighted gradients by colour, depth and alpha."""
+        values: dict[str, float] = {}
+        color: Tensor | None = None
+        depth: Tensor | None = None
+        alpha: Tensor | None = None
+        if self._photometric:
+            l1, ssim, color = photometric(rendered.color, target, self._l1, self._ssim)
+            for term in self._photometric:
+                assert term.photometric is not None
+                values[term.config.name] = term.photometric[0] * l1 + term.photometric[1] * (1.0 - ssim)
+        for term in self._others:
+            value = term.evaluate(rendered, target)
+            values[term.config.name] = value.value
+            color = _add(color, value.grad_color, term.config.weight)
+            depth = _add(depth, value.grad_depth, term.config.weight)
+            alpha = _add(alpha, value.grad_alpha, term.config.weight)
+        return values, (color, depth, alpha)

@@ -1,0 +1,146 @@
+"""Where new Gaussians start: on the surfaces of a keyframe's depth that the map does not explain yet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from bench.gaussians.parameters import planes_from
+from bench.types import Image, Map, Mask, PinholeView
+
+
+@dataclass(frozen=True)
+class SeedConfig:
+    """How a keyframe's pixels become Gaussians.
+
+    ``stride``: every stride-th pixel in both directions. ``max_alpha``, ``min_error``: a pixel is not explained where
+    the map's alpha is below the one or its mean colour error above the other. ``size``: standard deviation along the
+    surface in units of the pixel's footprint times the stride; ``thickness``: across it, as a share of that.
+    ``fill_holes``: give pixels of unknown depth a smoothly filled one, for seeding only. ``sky_distance_m``: where
+    sky pixels are put (0 = no Gaussians for the sky).
+    """
+
+    stride: int = 2
+    max_alpha: float = 0.5
+    min_error: float = 0.1
+    size: float = 0.6
+    thickness: float = 0.2
+    opacity: float = 0.5
+    fill_holes: bool = True
+    sky_distance_m: float = 200.0
+
+
+def fill_inverse_depth(inverse: Map, known: Mask) -> Map:
+    """Inverse depth (H, W) with holes filled by ever wider means of the known surroundings."""
+    filled, weight = np.where(known, inverse, 0.0).astype(np.float32), known.astype(np.float32)
+    result, done = filled.copy(), known.copy()
+    size = 7
+    while not done.all() and size < 4 * max(inverse.shape):
+        total = cv2.boxFilter(filled, -1, (size, size), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        count = cv2.boxFilter(weight, -1, (size, size), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        use = ~done & (count > 0.5)
+        result[use] = total[use] / count[use]
+        done |= use
+        size = 2 * size + 1
+    return result
+
+
+def disc_axes(inverse: Map, view: PinholeView) -> Map:
+    """Unit surface normals (H, W, 3) in the camera's frame from a smoothed inverse depth (1/m).
+
+    A plane has linear inverse depth: 1/z = (n . (x, y, 1)) / distance with normalised image coordinates x, y.
+    """
+    smooth = cv2.boxFilter(inverse, -1, (5, 5))
+    a = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
+    b = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)
+    x = (np.arange(view.width, dtype=np.float32) - view.cx)[None, :]
+    y = (np.arange(view.height, dtype=np.float32) - view.cy)[:, None]
+    normal = np.dstack([a * view.fx, b * view.fy, smooth - a * x - b * y])
+    length = np.sqrt((normal * normal).sum(2, keepdims=True))
+    return np.where(length > 1e-9, normal / np.maximum(length, 1e-9), np.array([0, 0, 1], np.float32)).astype(
+        np.float32
+    )
+
+
+def _quaternions_from_z(normals: np.ndarray) -> np.ndarray:
+    """Shortest rotations (N, 4) w, x, y, z that turn the z axis to the unit ``normals`` (N, 3)."""
+    normals = np.where(normals[:, 2:] < 0, -normals, normals)
+    q = np.stack([1 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(len(normals))], 1)
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def _multiply(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Quaternion products p q, (4,) by (N, 4)."""
+    w, x, y, z = p
+    return np.stack(
+        [
+            w * q[:, 0] - x * q[:, 1] - y * q[:, 2] - z * q[:, 3],
+            w * q[:, 1] + x * q[:, 0] + y * q[:, 3] - z * q[:, 2],
+            w * q[:, 2] - x * q[:, 3] + y * q[:, 0] + z * q[:, 1],
+            w * q[:, 3] + x * q[:, 2] - y * q[:, 1] + z * q[:, 0],
+        ],
+        1,
+    )
+
+
+def _quaternion_of(R: np.ndarray) -> np.ndarray:
+    """Unit quaternion w, x, y, z of a rotation matrix."""
+    rotation_vector = cv2.Rodrigues(R)[0][:, 0]
+    angle = float(np.linalg.norm(rotation_vector))
+    axis = rotation_vector / angle if angle > 1e-12 else np.zeros(3)
+    return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])
+
+
+def seed_gaussians(
+    image: Image,
+    depth: Map,
+    sky: Mask | None,
+    unexplained: Mask,
+    view: PinholeView,
+    config: SeedConfig,
+) -> tuple[Tensor, Tensor]:
+    """New Gaussians (14, N) for the unexplained pixels (H, W), and their depths (N,) in metres.
+
+    ``depth`` (H, W) metres is NaN where unknown or out of range; ``sky`` (H, W) or None.
+    """
+    h, w = depth.shape
+    known = np.isfinite(depth)
+    inverse = np.where(known, 1.0 / np.where(known, depth, 1.0), 0.0).astype(np.float32)
+    usable = known.copy()
+    if config.fill_holes and known.any():
+        inverse = fill_inverse_depth(inverse, known)
+        usable[:] = inverse > 0
+    normals = disc_axes(inverse, view)
+    if sky is not None:
+        usable &= ~sky
+        if config.sky_distance_m > 0:
+            inverse = np.where(sky, 1.0 / config.sky_distance_m, inverse).astype(np.float32)
+            rays = np.dstack(
+                [
+                    np.broadcast_to((np.arange(w, dtype=np.float32) - view.cx)[None, :] / view.fx, (h, w)),
+                    np.broadcast_to((np.arange(h, dtype=np.float32) - view.cy)[:, None] / view.fy, (h, w)),
+                    np.ones((h, w), np.float32),
+                ]
+            )
+            normals[sky] = rays[sky] / np.linalg.norm(rays[sky], axis=1, keepdims=True)
+            usable |= sky
+    grid = np.zeros((h, w), bool)
+    grid[:: config.stride, :: config.stride] = True
+    v, u = np.nonzero(grid & usable & unexplained)
+    z = 1.0 / inverse[v, u]
+    points = np.stack([(u - view.cx) / view.fx * z, (v - view.cy) / view.fy * z, z], 1)
+    T_world_cam = np.linalg.inv(view.T_cam_world)
+    means = points @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
+    sigma = config.size * config.stride * z / view.fx
+    scales = np.stack([sigma, sigma, sigma * config.thickness], 1)
+    quaternions = _multiply(_quaternion_of(T_world_cam[:3, :3]), _quaternions_from_z(normals[v, u]))
+    colors = image[v, u].astype(np.float32) / 255.0
+    tensors = [torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in (means, scales, quaternions, colors)]
+    opacities = torch.full((len(z),), config.opacity)
+    return planes_from(tensors[0], tensors[1], tensors[2], opacities, tensors[3]), torch.from_numpy(
+        z.astype(np.float32)
+    )

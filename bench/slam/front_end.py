@@ -1,0 +1,94 @@
+"""The part of the system before the mapper: tracking, keyframes, stereo and sky of every frame, in order.
+
+It never looks at the map, so it may run ahead of it in a thread of its own.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bench.cache import cost_of
+from bench.contracts.tracker import Tracker
+from bench.errors import BenchError
+from bench.slam.prefetch import prefetch
+from bench.types import Keyframe, StereoFrame, TrackingResult, Trajectory
+
+if TYPE_CHECKING:
+    from bench.slam.system import System
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the front end says about one frame; ``keyframe`` and the poses of that moment for a keyframe only."""
+
+    row: dict[str, Any]
+    keyframe: Keyframe | None = None
+    window: tuple[int, ...] = ()
+    trajectory: Trajectory | None = None
+
+
+def front_end(system: System) -> Generator[Seen, None, None]:
+    """Tracking, keyframing, stereo and sky of every frame, in order."""
+    camera = system.dataset.camera
+    for position, frame in prefetch(system.dataset):
+        start = time.perf_counter()
+        tracking = _checked(system.tracker.track(frame), frame, system.tracker)
+        cost = cost_of(system.tracker, time.perf_counter() - start)
+        row: dict[str, Any] = {
+            "number": frame.number,
+            "timestamp": frame.timestamp,
+            "state": tracking.state,
+            "inliers": tracking.inliers,
+            "reprojection_px": tracking.reprojection_px,
+            "is_keyframe": False,
+            "mapped": False,
+            "heldout": system.protocol.is_held_out(frame.number),
+            "tracking_s": cost.seconds,
+            "tracking_cached": cost.cached,
+            "stereo_s": 0.0,
+            "stereo_cached": False,
+        }
+        if tracking.state == "lost":
+            log.warning("frame %d: tracking is lost", frame.number)
+        if tracking.state == "lost" or row["heldout"]:
+            yield Seen(row)
+            continue
+        decision = system.keyframer.update(frame, tracking)
+        row["keyframe_reason"] = decision.reason
+        row["is_keyframe"] = decision.is_keyframe
+        if not (decision.is_keyframe and system.mapper.wants_keyframes):
+            yield Seen(row)
+            continue
+        start = time.perf_counter()
+        depth = system.stereo.depth(frame, position, camera)
+        depth_cost = cost_of(system.stereo, time.perf_counter() - start)
+        start = time.perf_counter()
+        sky = system.sky.segment(frame.left, depth, camera)
+        sky_cost = cost_of(system.sky, time.perf_counter() - start)
+        row["stereo_s"] = depth_cost.seconds + sky_cost.seconds
+        row["stereo_cached"] = depth_cost.cached or sky_cost.cached
+        trajectory = system.tracker.trajectory()
+        pose = trajectory.pose_of(frame.number)
+        assert pose is not None
+        yield Seen(row, Keyframe(frame, depth, sky, pose), decision.window, trajectory)
+
+
+def _checked(tracking: TrackingResult, frame: StereoFrame, tracker: Tracker) -> TrackingResult:
+    """The tracker's answer, if it is one; raises ``BenchError`` that says what was wrong with it."""
+    pose = tracking.T_world_cam
+    lost = tracking.state == "lost"
+    if lost != (pose is None) or (pose is not None and (np.shape(pose) != (4, 4) or not np.isfinite(pose).all())):
+        got = "None" if pose is None else f"shape {np.shape(pose)}" + ("" if np.isfinite(pose).all() else " with NaN")
+        raise BenchError(
+            f"{type(tracker).__name__}.track returned state '{tracking.state}' with a pose of {got} for frame "
+            f"{frame.number}; expected a finite 4x4 pose, or None with state 'lost'."
+        )
+    return tracking

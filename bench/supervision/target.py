@@ -1,0 +1,76 @@
+"""What a keyframe's render is compared with: the image, the stereo depth, and what the loss terms derive from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bench.geometry.normals import normals_from_depth
+from bench.supervision.ssim import local_statistics
+from bench.types import Keyframe, PinholeView
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Supervision of one view at one resolution, as tensors on the rasterizer's device.
+
+    ``image`` (3, H, W) RGB in [0, 1]; ``depth`` (H, W) metres, 0 where it does not supervise; ``depth_mask`` (H, W)
+    bool, the paper's M: stereo depth known, within the depth range, not sky; ``sky`` (H, W) bool.
+    """
+
+    image: Tensor
+    depth: Tensor
+    depth_mask: Tensor
+    sky: Tensor
+    view: PinholeView
+
+    @cached_property
+    def edge_weight(self) -> Tensor:
+        """g = exp(-|grad I|), (H, W), I grey in [0, 1] (paper, below Eq. 15); central differences."""
+        grey = self.image.mean(0)
+        dx, dy = torch.zeros_like(grey), torch.zeros_like(grey)
+        dx[:, 1:-1] = (grey[:, 2:] - grey[:, :-2]) / 2
+        dy[1:-1] = (grey[2:] - grey[:-2]) / 2
+        return torch.exp(-torch.sqrt(dx * dx + dy * dy))
+
+    @cached_property
+    def normals(self) -> tuple[Tensor, Tensor]:
+        """Unit normals (3, H, W) of the stereo depth in the camera's frame, and where they are valid (H, W)."""
+        return normals_from_depth(self.depth, self.depth_mask, self.view)
+
+    @cached_property
+    def local_statistics(self) -> tuple[Tensor, Tensor]:
+        """Gaussian-weighted local mean and variance of the image, (3, H, W) each, for SSIM."""
+        return local_statistics(self.image)
+
+    def halved(self) -> Target:
+        """The same target at half the resolution: image averaged, depth picked (never averaged over an edge)."""
+        view = self.view.halved()
+        h, w = view.height, view.width
+        image = torch.nn.functional.avg_pool2d(self.image[None], 2)[0].contiguous()
+        pick = (slice(0, 2 * h, 2), slice(0, 2 * w, 2))
+        return Target(
+            image, self.depth[pick].contiguous(), self.depth_mask[pick].contiguous(), self.sky[pick].contiguous(), view
+        )
+
+
+def target_of(
+    keyframe: Keyframe, view: PinholeView, depth_range_m: tuple[float, float], device: torch.device
+) -> Target:
+    """The full-resolution target of a keyframe; ``depth_range_m`` limits which stereo depth supervises."""
+    image = torch.from_numpy(keyframe.frame.left).to(device).permute(2, 0, 1).float().div_(255.0).contiguous()
+    depth = keyframe.depth.depth
+    sky = np.zeros(depth.shape, bool) if keyframe.sky is None else keyframe.sky
+    with np.errstate(invalid="ignore"):
+        mask = np.isfinite(depth) & (depth >= depth_range_m[0]) & (depth <= depth_range_m[1]) & ~sky
+    return Target(
+        image,
+        torch.from_numpy(np.where(mask, depth, 0.0).astype(np.float32)).to(device),
+        torch.from_numpy(mask).to(device),
+        torch.from_numpy(sky).to(device),
+        view,
+    )

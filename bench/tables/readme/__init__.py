@@ -1,1 +1,0 @@
-"""The tables in README.md, made from what is kept in ``results/tables``."""

@@ -1,0 +1,179 @@
+"""The mapper on a tiny street: it learns, it repeats itself bit by bit, it follows corrected poses and prunes."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from bench.errors import BenchError
+from bench.gaussians.parameters import OPACITY_LOGIT, NamedParameters
+from bench.gaussians.ply import read_ply
+from bench.gaussians.seeding import SeedConfig
+from bench.types import DepthMap, Keyframe, PinholeView, Trajectory
+from plugins.datasets.street import Street, StreetConfig
+from plugins.losses.geo import GeoConfig, GeoLoss
+from plugins.losses.rgb import RgbConfig, RgbLoss
+from plugins.losses.ssim import SsimConfig, SsimLoss
+from plugins.mappers.gaussian import GaussianMapper, GaussianMapperConfig
+from plugins.rasterizers.cpu import CpuRasterizer, CpuRasterizerConfig
+
+
+@cache
+def street() -> tuple[Street, list[Keyframe]]:
+    """Four frames with exact depth, sky and poses."""
+    dataset = Street(StreetConfig("street", frames=4, width=160, height=64))
+    truth = dataset.ground_truth()
+    keyframes = []
+    for k in range(4):
+        depth = DepthMap(dataset.true_depth(k), "truth")
+        keyframes.append(Keyframe(dataset.frame(k), depth, dataset.true_sky(k), truth.T_world_cam[k]))
+    return dataset, keyframes
+
+
+def started(random_seed: int = 0, **settings: object) -> GaussianMapper:
+    mapper = GaussianMapper(GaussianMapperConfig("gaussian", **settings))  # type: ignore[arg-type]
+    losses = [RgbLoss(RgbConfig("rgb")), SsimLoss(SsimConfig("ssim")), GeoLoss(GeoConfig("geo"))]
+    mapper.start(street()[0].camera, CpuRasterizer(CpuRasterizerConfig("cpu", threads=1)), losses, random_seed)
+    return mapper
+
+
+def mapped(random_seed: int = 0, **settings: object) -> GaussianMapper:
+    mapper = started(random_seed, **settings)
+    keyframes = street()[1]
+    for k, keyframe in enumerate(keyframes):
+        mapper.add_keyframe(keyframe, [kf.frame.number for kf in keyframes[: k + 1]])
+    mapper.finish()
+    return mapper
+
+
+def psnr_by_hand(mapper: GaussianMapper, keyframe: Keyframe) -> float:
+    """Over all pixels and channels of the rendered view, in float64 numpy."""
+    view = mapper.render(PinholeView.of(street()[0].camera, keyframe.T_world_cam))
+    error = view.color.astype(np.float64) - keyframe.frame.left / 255.0
+    return float(-10 * np.log10((error**2).mean()))
+
+
+def saved(mapper: GaussianMapper, path: Path) -> bytes:
+    mapper.save(path)
+    return path.read_bytes()
+
+
+def test_optimisation_beats_the_seeding() -> None:
+    """A first frame's seeds alone (one iteration) show about 16 dB; forty iterations bring at least 5 dB more."""
+    keyframe = street()[1][0]
+    mappers = [started(iterations=iterations) for iterations in (1, 40)]
+    for mapper in mappers:
+        mapper.add_keyframe(keyframe, [0])
+    seeds, learned = (psnr_by_hand(mapper, keyframe) for mapper in mappers)
+    assert 10.0 < seeds < learned - 5.0
+
+
+def test_the_whole_sequence_is_learned_and_not_only_the_newest_frame() -> None:
+    assert min(psnr_by_hand(mapped(iterations=30), keyframe) for keyframe in street()[1]) > 25.0
+
+
+def test_report_of_a_keyframe() -> None:
+    mapper = started(iterations=3)
+    keyframe = street()[1][0]
+    report = mapper.add_keyframe(keyframe, [0])
+    assert report.psnr_db == pytest.approx(psnr_by_hand(mapper, keyframe), abs=1e-3)
+    assert report.gaussians == mapper.gaussians > 0
+    assert report.iterations == 3
+    assert set(report.losses) == {"rgb", "ssim", "geo"}
+
+
+def test_one_seed_gives_the_same_bytes_and_another_does_not(tmp_path: Path) -> None:
+    first, again, other = (saved(mapped(seed, iterations=6), tmp_path / "map.ply") for seed in (0, 0, 1))
+    assert first == again
+    assert first != other
+
+
+def test_depth_of_the_render_is_the_depth_of_the_street() -> None:
+    """Raw depth, sum d a T, where the map is opaque; the truth is the data set's own."""
+    dataset, keyframes = street()
+    view = mapped(iterations=20).render(PinholeView.of(dataset.camera, keyframes[1].T_world_cam))
+    truth = keyframes[1].depth.depth
+    covered = (view.alpha > 0.95) & (truth < 40)
+    assert covered.mean() > 0.4
+    error = np.abs(view.depth[covered] / view.alpha[covered] - truth[covered]) / truth[covered]
+    assert np.median(error) < 0.05
+
+
+def test_prunes_what_is_nearly_transparent(tmp_path: Path) -> None:
+    mapper = started(iterations=1, prune_opacity=5e-3)
+    mapper.add_keyframe(street()[1][0], [0])
+    before = mapper.gaussians
+    logits = torch.logit(torch.tensor([0.004, 0.006]))
+    mapper._planes[OPACITY_LOGIT, 3], mapper._planes[OPACITY_LOGIT, 4] = logits[0], logits[1]
+    neighbours = mapper._planes[:, [2, 4]].clone()
+    mapper._prune()
+    assert mapper.gaussians == before - 1
+    assert torch.equal(mapper._planes[:, [2, 3]], neighbours)
+    mapper.add_keyframe(street()[1][1], [0, 1])  # optimizer and birth depths still fit
+    mapper.save(tmp_path / "map.ply")
+    assert float(NamedParameters(read_ply(tmp_path / "map.ply")).opacities.min()) >= 5e-3
+
+
+def test_new_seeds_only_where_the_map_does_not_explain_the_image() -> None:
+    """The same frame a second time adds few; with a threshold that nothing meets, none."""
+    keyframe = street()[1][0]
+    twice = Keyframe(keyframe.frame, keyframe.depth, keyframe.sky, keyframe.T_world_cam)
+    for settings, most in ((SeedConfig(), 0.2), (SeedConfig(max_alpha=0.0, min_error=9.0), 0.0)):
+        mapper = started(iterations=30, seed=settings)
+        first = mapper.add_keyframe(keyframe, [0]).gaussians
+        mapper._seed(twice)
+        assert mapper.gaussians - first <= most * first
+
+
+def test_update_poses_moves_the_views_that_mapping_learns_from() -> None:
+    """After the keyframe's pose is corrected, mapping renders from the corrected one."""
+    keyframes = street()[1]
+    mapper = started(iterations=1)
+    mapper.add_keyframe(keyframes[0], [0])
+    corrected = keyframes[0].T_world_cam.copy()
+    corrected[:3, 3] += [0.3, 0.0, 0.0]
+    unknown = np.eye(4)
+    mapper.update_poses(Trajectory(np.stack([corrected, unknown]), np.array([0, 99]), np.array([0.0, 9.9])))
+    views = []
+    original = mapper._rasterizer.render
+    mapper._rasterizer.render = lambda planes, view, differentiable=True: (  # type: ignore[method-assign]
+        views.append(view),
+        original(planes, view, differentiable),
+    )[1]
+    mapper._iterate(0, half=False)
+    np.testing.assert_allclose(np.linalg.inv(views[0].T_cam_world), corrected, atol=1e-12)
+
+
+def test_a_frame_without_depth_is_survived() -> None:
+    """No seeds in the first keyframe: nothing to render yet, and the next one starts the map."""
+    keyframe = street()[1][0]
+    blind = DepthMap(np.full_like(keyframe.depth.depth, np.nan), "nothing")
+    mapper = started(iterations=2, seed=SeedConfig(sky_distance_m=0.0))
+    assert mapper.add_keyframe(Keyframe(keyframe.frame, blind, None, keyframe.T_world_cam), [0]).gaussians == 0
+    assert mapper.add_keyframe(street()[1][1], [0, 1]).gaussians > 100
+
+
+def test_finish_and_render_without_any_keyframe() -> None:
+    mapper = started()
+    mapper.finish()
+    view = mapper.render(PinholeView.of(street()[0].camera, np.eye(4)))
+    assert view.color.shape == (64, 160, 3)
+    assert not view.alpha.any()
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"iterations": 0}, "mapper.iterations must be at least 1"),
+        ({"newest_share": 0.9, "window_share": 0.2}, r"newest_share \+ mapper.window_share"),
+        ({"depth_range_m": (5.0, 2.0)}, r"mapper.depth_range_m=\[5.0, 2.0\] must be \[near, far\]"),
+        ({"seed": SeedConfig(stride=0)}, "mapper.seed.stride=0 must be at least 1"),
+    ],
+)
+def test_settings_that_make_no_sense(settings: dict[str, object], text: str) -> None:
+    with pytest.raises(BenchError, match=text):
+        GaussianMapper(GaussianMapperConfig("gaussian", **settings))  # type: ignore[arg-type]

@@ -1,0 +1,69 @@
+"""map.ply: the layout of the original 3DGS code, read here by plyfile and by hand, and the way back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData, PlyElement
+
+from bench.errors import BenchError
+from bench.gaussians.parameters import NamedParameters, planes_from
+from bench.gaussians.ply import read_ply, write_ply
+
+# The header of a point_cloud.ply that the original 3DGS code writes, for harmonics of degree 0.
+STANDARD = [
+    *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
+    *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+]
+
+
+def one_gaussian() -> torch.Tensor:
+    """At (1, 2, 3), sigmas 0.1, 0.2, 0.4 m, quaternion (0, 3, 0, 4) (length 5), opacity 0.8, colour (1, 0.5, 0)."""
+    return planes_from(
+        torch.tensor([[1.0, 2.0, 3.0]]),
+        torch.tensor([[0.1, 0.2, 0.4]]),
+        torch.tensor([[0.0, 3.0, 0.0, 4.0]]),
+        torch.tensor([0.8]),
+        torch.tensor([[1.0, 0.5, 0.0]]),
+    )
+
+
+def test_columns_and_values_of_the_standard_layout(tmp_path: Path) -> None:
+    write_ply(tmp_path / "map.ply", one_gaussian())
+    header, _, body = (tmp_path / "map.ply").read_bytes().partition(b"end_header\n")
+    lines = header.decode().splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    assert [line for line in lines if line.startswith("property")] == [f"property float {name}" for name in STANDARD]
+    assert "element vertex 1" in lines
+    row = dict(zip(STANDARD, np.frombuffer(body, "<f4"), strict=True))
+    assert [row[k] for k in ("x", "y", "z", "nx", "ny", "nz")] == [1, 2, 3, 0, 0, 0]
+    # What a viewer does: sigmoid, exp, 0.5 + 0.2820948 f_dc, quaternion w x y z.
+    assert 1 / (1 + np.exp(-row["opacity"])) == pytest.approx(0.8, rel=1e-6)
+    np.testing.assert_allclose(np.exp([row[f"scale_{k}"] for k in range(3)]), [0.1, 0.2, 0.4], rtol=1e-6)
+    np.testing.assert_allclose([0.5 + 0.28209479 * row[f"f_dc_{k}"] for k in range(3)], [1, 0.5, 0], atol=1e-6)
+    np.testing.assert_allclose([row[f"rot_{k}"] for k in range(4)], [0, 0.6, 0, 0.8], atol=1e-7)
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    planes = torch.randn(14, 100, generator=torch.Generator().manual_seed(0))
+    write_ply(tmp_path / "map.ply", planes)
+    back = read_ply(tmp_path / "map.ply")
+    same = [row for row in range(14) if row not in range(6, 10)]
+    assert torch.equal(back[same], planes[same])
+    torch.testing.assert_close(NamedParameters(back).quaternions, NamedParameters(planes).quaternions)
+    assert PlyData.read(str(tmp_path / "map.ply"))["vertex"].count == 100
+
+
+def test_an_empty_map(tmp_path: Path) -> None:
+    write_ply(tmp_path / "map.ply", torch.zeros(14, 0))
+    assert read_ply(tmp_path / "map.ply").shape == (14, 0)
+
+
+def test_another_layout_is_refused(tmp_path: Path) -> None:
+    points = np.zeros(2, dtype=[(name, "<f4") for name in ("x", "y", "z")])
+    PlyData([PlyElement.describe(points, "vertex")]).write(str(tmp_path / "cloud.ply"))
+    with pytest.raises(BenchError, match=r"cloud.ply is no 3DGS map: the columns nx, .* are missing"):
+        read_ply(tmp_path / "cloud.ply")

@@ -1,0 +1,219 @@
+"""The C++ core against the float64 reference: images, gradients of every group, pose, and odd sizes and numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+import torch
+from random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, relative_l2, render_and_back
+from torch import Tensor
+
+from bench import _native
+from bench.contracts.rasterizer import Rasterizer
+from bench.gaussians.parameters import PLANES
+from bench.registry import PluginConfig
+from bench.types import PinholeView
+from plugins.rasterizers.cpu import CpuRasterizer, CpuRasterizerConfig
+from plugins.rasterizers.reference import ReferenceRasterizer
+
+SCENES = {
+    "round, transparent, 70x41": SceneSpec(1, 203, 70, 41, 1.2, (0.05, 0.5)),
+    "round, opaque, 33x17": SceneSpec(2, 61, 33, 17, 1.2, (0.6, 0.99)),
+    "long, transparent, 33x17": SceneSpec(3, 64, 33, 17, 6.0, (0.05, 0.5)),
+    "long, opaque, 70x41": SceneSpec(4, 150, 70, 41, 6.0, (0.6, 0.99)),
+    "long, mixed, several tiles": SceneSpec(5, 321, 97, 50, 6.0, (0.01, 0.99)),
+    "one pixel wide": SceneSpec(6, 30, 1, 19, 2.0, (0.2, 0.8)),
+    "one tile exactly": SceneSpec(7, 80, 32, 16, 3.0, (0.2, 0.8)),
+    "one Gaussian": SceneSpec(8, 2, 40, 30, 3.0, (0.5, 0.6)),
+}
+
+
+@pytest.fixture(autouse=True)
+def _threads_as_before() -> Iterator[None]:
+    before = _native.threads()
+    yield
+    _native.set_threads(before)
+
+
+def cpu(threads: int = 1) -> CpuRasterizer:
+    return CpuRasterizer(CpuRasterizerConfig("cpu", threads=threads))
+
+
+def reference() -> ReferenceRasterizer:
+    return ReferenceRasterizer(PluginConfig("reference"))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_images_agree_with_the_reference(name: str) -> None:
+    planes, view = random_scene(SCENES[name])
+    fast, truth = cpu().render(planes, view), reference().render(planes.double(), view)
+    assert float(truth.alpha.max()) > 0.05  # something is there
+    for mine, true in ((fast.color, truth.color), (fast.depth, truth.depth), (fast.alpha, truth.alpha)):
+        error = ((mine.double() - true).abs() / true.abs().clamp_min(1.0)).flatten()
+        assert float(error.quantile(0.999)) < 1e-5
+        # A float32 alpha may fall on the other side of 1/255: one step of 1/255 of a colour, or of a depth of 9 m.
+        assert float(error.max()) < 5e-3
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_gradients_agree_with_the_reference(name: str) -> None:
+    planes, view = random_scene(SCENES[name])
+    grads = image_gradients(view, 7)
+    _, mine = render_and_back(cpu(), planes, view, grads)
+    _, true = render_and_back(reference(), planes.double(), view, tuple(g.double() for g in grads))  # type: ignore[arg-type]
+    for group, rows in GROUPS.items():
+        assert relative_l2(mine.planes[rows], true.planes[rows]) <= 1e-5, group
+    assert mine.twist is not None
+    assert true.twist is not None
+    assert relative_l2(mine.twist, true.twist) <= 5e-5
+    # Touched Gaussians are at least those that any pixel shows; the rest have no gradient.
+    assert bool((mine.touched | ~true.touched).all())
+    assert float(mine.planes[:, ~mine.touched].abs().sum()) == 0.0
+
+
+@pytest.mark.parametrize("only", ["color", "depth", "alpha"])
+def test_each_image_alone_and_missing_gradients(only: str) -> None:
+    """None for an image's gradient means zero."""
+    planes, view = random_scene(SCENES["long, opaque, 70x41"])
+    at = ("color", "depth", "alpha").index(only)
+    given = [g if k == at else None for k, g in enumerate(image_gradients(view, 3))]
+    one, other = cpu(), reference()
+    mine = one.backward(one.render(planes, view), *given, pose=True)
+    true = other.backward(other.render(planes.double(), view), *given, pose=True)
+    for group, rows in GROUPS.items():
+        if only != "color" and group == "colors":
+            assert float(mine.planes[rows].abs().max()) == 0.0
+        else:
+            assert relative_l2(mine.planes[rows], true.planes[rows]) <= 1e-5, group
+    assert relative_l2(mine.twist, true.twist) <= 5e-5  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("make", [cpu, reference])
+def test_no_image_gradient_at_all(make: Callable[[], Rasterizer]) -> None:
+    planes, view = random_scene(SCENES["one tile exactly"])
+    rasterizer = make()
+    result = rasterizer.backward(rasterizer.render(planes, view), None, None, None, pose=True)
+    assert float(result.planes.abs().sum()) == 0.0
+    assert result.twist is not None
+    assert result.twist.tolist() == [0.0] * 6
+
+
+@pytest.mark.parametrize("make", [cpu, reference])
+@pytest.mark.parametrize("behind", [False, True])
+def test_nothing_to_see(make: Callable[[], Rasterizer], behind: bool) -> None:
+    """No Gaussian at all, or one behind the camera: black images and zero gradients of the right shapes."""
+    _, view = random_scene(SCENES["round, opaque, 33x17"])
+    planes = torch.zeros(PLANES, int(behind))
+    if behind:
+        planes[:3, 0] = torch.from_numpy(np.linalg.inv(view.T_cam_world) @ [0.1, 0.1, -3.0, 1.0])[:3].float()
+        planes[6] = 1.0
+    rendered, grads = render_and_back(make(), planes, view, image_gradients(view, 1))
+    assert rendered.color.shape == (3, 17, 33)
+    for image in (rendered.color, rendered.depth, rendered.alpha):
+        assert float(image.abs().max()) == 0.0
+    assert grads.planes.shape == planes.shape
+    assert float(grads.planes.abs().sum()) == 0.0
+    assert not grads.touched.any()
+    assert grads.twist is not None
+    assert grads.twist.tolist() == [0.0] * 6
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 2047, 2048, 2049])
+def test_counts_around_a_vector_and_around_a_chunk(count: int) -> None:
+    """Rendering the first ``count`` of many Gaussians is the same as hiding the others."""
+    planes, view = random_scene(SceneSpec(9, 2049, 33, 17, 2.0, (0.02, 0.3)))
+    hidden = planes.clone()
+    hidden[10, count:] = -20.0
+    grads = image_gradients(view, 5)
+    few, few_grads = render_and_back(cpu(), planes[:, :count].contiguous(), view, grads)
+    all_, all_grads = render_and_back(cpu(), hidden, view, grads)
+    assert torch.equal(few.color, all_.color)
+    assert torch.equal(few_grads.planes, all_grads.planes[:, :count])
+
+
+def test_same_bits_for_any_number_of_threads() -> None:
+    planes, view = random_scene(SceneSpec(10, 5000, 150, 70, 4.0, (0.02, 0.95)))
+    grads = image_gradients(view, 6)
+    results = [render_and_back(cpu(threads), planes, view, grads) for threads in (1, 2, 3)]
+    assert _native.threads() == 3
+    for rendered, gradients in results[1:]:
+        for name in ("color", "depth", "alpha"):
+            assert torch.equal(getattr(rendered, name), getattr(results[0][0], name)), name
+        assert torch.equal(gradients.planes, results[0][1].planes)
+        assert torch.equal(gradients.twist, results[0][1].twist)  # type: ignore[arg-type]
+        assert torch.equal(gradients.touched, results[0][1].touched)
+
+
+def test_two_renders_before_the_first_backward() -> None:
+    planes, view = random_scene(SCENES["long, opaque, 70x41"])
+    other_planes, other_view = random_scene(SCENES["round, opaque, 33x17"])
+    grads, other_grads = image_gradients(view, 1), image_gradients(other_view, 2)
+    alone = render_and_back(cpu(), planes, view, grads)[1]
+    other_alone = render_and_back(cpu(), other_planes, other_view, other_grads)[1]
+    rasterizer = cpu()
+    first = rasterizer.render(planes, view)
+    second = rasterizer.render(other_planes, other_view)
+    rasterizer.render(other_planes, other_view, differentiable=False)
+    assert torch.equal(rasterizer.backward(first, *grads, pose=True).planes, alone.planes)
+    assert torch.equal(rasterizer.backward(second, *other_grads, pose=True).planes, other_alone.planes)
+
+
+def test_far_away_huge_and_tiny_gaussians_stay_finite() -> None:
+    """Extremes that optimisation can reach: no NaN, no infinity in images or gradients."""
+    planes, view = random_scene(SCENES["round, transparent, 70x41"])
+    planes[3:6, 0] = 8.0  # standard deviation of 3 km
+    planes[3:6, 1] = -20.0
+    planes[10, 2], planes[10, 3] = 40.0, -40.0
+    planes[6:10, 4] = 0.0  # a quaternion of length zero
+    planes[:3, 5] *= 1e4
+    planes[11:14, 6] = 50.0
+    rendered, grads = render_and_back(cpu(), planes, view, image_gradients(view, 4))
+    for values in (rendered.color, rendered.depth, rendered.alpha, grads.planes, grads.twist):
+        assert bool(torch.isfinite(values).all())  # type: ignore[arg-type]
+
+
+def _bad(change: str, planes: Tensor) -> Tensor:
+    return {
+        "rows": planes[:13].contiguous(),
+        "dtype": planes.double(),
+        "not contiguous": planes.T.contiguous().T,
+        "one dimension": planes.flatten(),
+    }[change]
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "text"),
+    [
+        ("rows", ValueError, r"planes must have shape \(14, N\)"),
+        ("dtype", TypeError, r"planes: .*float32"),
+        ("not contiguous", TypeError, r"planes: "),
+        ("one dimension", TypeError, r"planes: "),
+    ],
+)
+def test_wrong_parameters_are_refused(change: str, error: type[Exception], text: str) -> None:
+    planes, view = random_scene(SCENES["one tile exactly"])
+    with pytest.raises(error, match=text):
+        cpu().render(_bad(change, planes), view)
+
+
+def test_wrong_gradient_images_are_refused() -> None:
+    planes, view = random_scene(SCENES["one tile exactly"])
+    rasterizer = cpu()
+    color, depth, alpha = image_gradients(view, 1)
+    for bad, text in (
+        ((color[:, 1:].contiguous(), depth, alpha), r"grad_color must have shape \(3, H, W\)"),
+        ((color, depth[1:].contiguous(), alpha), r"grad_depth must have shape \(H, W\)"),
+        ((color, depth, alpha[:, 1:].contiguous()), r"grad_alpha must have shape \(H, W\)"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            rasterizer.backward(rasterizer.render(planes, view), *bad)
+
+
+def test_views_that_make_no_sense_are_refused() -> None:
+    planes, view = random_scene(SCENES["one tile exactly"])
+    with pytest.raises(ValueError, match="focal lengths must be positive"):
+        cpu().render(planes, PinholeView(view.T_cam_world, 0.0, 10.0, 5.0, 5.0, 10, 10))
+    with pytest.raises(ValueError, match="image size must be between 1 and 32000"):
+        cpu().render(planes, PinholeView(view.T_cam_world, 10.0, 10.0, 5.0, 5.0, 0, 10))

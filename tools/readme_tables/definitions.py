@@ -1,0 +1,230 @@
+"""The tables of README.md: from which kept files, with which rows, columns and labels."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+from bench.errors import BenchError
+from bench.runs.status import read_json
+from bench.tables.named.published import read_published
+from bench.tables.named.table import make_table
+from bench.tables.records.file import SUFFIX
+from bench.tables.records.record import RunRecord
+from tools.readme_tables import performance
+from tools.readme_tables.blocks import Block
+from tools.readme_tables.columns import (
+    FixedRow,
+    RunColumn,
+    Runs,
+    by_settings,
+    figures,
+    link,
+    made_by,
+    markdown_row,
+    median,
+    number,
+    read_kept,
+    run_table,
+)
+
+_STAGES = "+".join(f"resources.{stage}_s_per_frame" for stage in ("tracking", "stereo", "mapping"))
+
+_SETTINGS = (
+    "system=bgs_slam",
+    "system=bgs_slam_fast",
+    "system=bgs_slam stereo=lidar",
+    "system=bgs_slam_paper",
+    "system=bgs_slam_paper stereo=lidar",
+    "system=bgs_slam_paper mapper.seed.fill_holes=true mapper.seed.sky_distance_m=200",
+)
+_TRAIN = ("views.train.psnr_db", "views.train.ssim", "views.train.lpips")
+_MEASURED = (
+    RunColumn("train dB / SSIM / LPIPS", figures("{:.2f} / {:.3f} / {:.3f}", *_TRAIN)),
+    RunColumn("held-out left dB / SSIM", figures("{:.2f} / {:.3f}", "views.heldout.psnr_db", "views.heldout.ssim")),
+    RunColumn("right camera dB / SSIM", figures("{:.2f} / {:.3f}", "views.right.psnr_db", "views.right.ssim")),
+    RunColumn("Depth-L1", figures("{:.0f}", "views.left.depth_l1_cm")),
+    RunColumn("ATE", figures("{:.3f} m", "trajectory.ate_rmse_m")),
+    RunColumn("Gaussians", figures("{:.0f} k", "map.gaussians", scale=1e-3)),
+    RunColumn("memory", figures("{:.2f} GB", "resources.peak_memory_gb")),
+    RunColumn("stages", figures("{:.2f}", _STAGES)),
+    RunColumn("wall", figures("{:.2f}", "resources.wall_s_per_frame")),
+)
+
+
+def _measured(kept: Path, folder: Path) -> str:
+    """KITTI 06: a row for each of ``_SETTINGS``, then the paper's two."""
+    file = kept / f"kitti06{SUFFIX}"
+    runs = read_kept(file)
+    members = by_settings(runs, _SETTINGS)
+    names = {id(run): f"`{row}`" for row, found in members.items() for run in found}
+    columns = (RunColumn("SETTINGS", lambda of_row: names[id(of_row[0])]), *_MEASURED)
+    rows: list[Runs | FixedRow] = [members[row] for row in _SETTINGS if members[row]]
+    rows += [_of_the_paper("BGS-SLAM (Ours)", "BGS-SLAM"), _of_the_paper("BGS-SLAM (LiDAR)", "BGS-SLAM (LiDAR)")]
+    return f"{run_table(columns, rows)}\n\n{made_by(runs, file, folder)}"
+
+
+def _of_the_paper(method: str, label: str) -> FixedRow:
+    """What the paper has of a method on sequence 06."""
+    tables = ("main_kitti", "memory", "runtime")
+    values = [value for table in tables for value in read_published(table) if value.method == method]
+    by_metric = {value.metric: value.value for value in values if value.sequence in ("06", "average")} | {
+        value.metric: value.value for value in values if value.sequence == "06"
+    }
+    memory, mapping = by_metric.get("peak_memory_gb"), by_metric.get("mapping_s_per_frame")
+    cells = [
+        f"paper, {label}, sequence 06",
+        f"{by_metric['psnr_db']} / {by_metric['ssim']} / {by_metric['lpips']} (all views)",
+        *("", ""),
+        f"{float(by_metric['depth_l1_cm']):.0f}",
+        f"{by_metric['ate_rmse_m']} m",
+        "",
+        f"{memory} GB" if memory else "",
+        f"{by_metric['tracking_s_per_frame']} + {mapping}" if mapping else "",
+        "",
+    ]
+    return FixedRow(tuple(f"*{cell}*" if cell else "" for cell in cells))
+
+
+_TRACKER_ROWS: tuple[tuple[str, tuple[str, ...], str, float], ...] = (
+    ("t_rel over 10-50 m", ("trajectory.t_rel_short_percent",), "{:.3f} %", 1.0),
+    ("ATE", ("trajectory.ate_rmse_m",), "{:.3f} m", 1.0),
+    ("RPE, mean / RMSE", ("trajectory.rpe_trans_mean_m", "trajectory.rpe_trans_rmse_m"), "{:.1f} / {:.1f} mm", 1e3),
+    ("time a frame", ("resources.tracking_s_per_frame",), "{:.3f} s", 1.0),
+)
+
+
+def _trackers(kept: Path, folder: Path) -> str:
+    """Medians of the runs of two trackers on the same frames, and how much the first has of the second's."""
+    file = kept / f"trackers{SUFFIX}"
+    runs = read_kept(file)
+    members = by_settings(runs, ("tracker=stereo_orb", "tracker=orbslam3"))
+    if not all(members.values()):
+        raise BenchError(f"{file} needs runs of both trackers, stereo_orb and orbslam3. Keep both sweeps' runs.")
+    lines = [markdown_row(["", "stereo_orb", "ORB-SLAM3", "ratio"]), "|---|---|---|---|"]
+    for label, paths, form, scale in _TRACKER_ROWS:
+        ours, theirs = ([median(found, path) * scale for path in paths] for found in members.values())
+        ratios = " / ".join(f"{one / other:.2f}" for one, other in zip(ours, theirs, strict=True))
+        lines.append(markdown_row([label, form.format(*ours), form.format(*theirs), ratios]))
+    counts = " and ".join(str(len(found)) for found in members.values())
+    return "\n".join([*lines, "", f"Medians of {counts} runs. {made_by(runs, file, folder)}"])
+
+
+def _circuits(kept: Path, folder: Path) -> str:
+    """One row a street, by its seed: ATE, the loops that were closed, lost frames."""
+    file = kept / f"circuits{SUFFIX}"
+    runs = sorted(read_kept(file), key=_street)
+    columns = (
+        RunColumn("dataset.seed", lambda of_row: str(_street(of_row[0]))),
+        RunColumn("ATE [m]", figures("{:.3f}", "trajectory.ate_rmse_m")),
+        RunColumn("loops closed: frame → frame", lambda of_row: _loops(of_row[0])),
+        RunColumn("frames", figures("{:.0f}", "frames.total")),
+        RunColumn("frames lost", figures("{:.0f}", "frames.lost")),
+    )
+    errors = [error for run in runs if (error := number(run, "trajectory.ate_rmse_m")) is not None]
+    mean = f"Mean ATE {sum(errors) / len(errors):.3f} m. " if errors else ""
+    return f"{run_table(columns, [[run] for run in runs])}\n\n{mean}{made_by(runs, file, folder)}"
+
+
+def _street(run: RunRecord) -> int:
+    return int(run.config["dataset"]["seed"])
+
+
+def _loops(run: RunRecord) -> str:
+    loops = run.provenance.get("loops_closed", [])
+    return ", ".join(f"{new} → {old}" for new, old in loops) or "none"
+
+
+_STEREO_COLUMNS = (
+    ("EPE [px]", ("epe_px",), "{:.2f}"),
+    ("D1 [%]", ("d1_percent",), "{:.1f}"),
+    ("filled [%]", ("density_percent",), "{:.0f}"),
+    ("ms a pair", ("ms_per_frame",), "{:.0f}"),
+    ("PSNR all / held-out [dB]", ("psnr_db", "heldout_psnr_db"), "{:.2f} / {:.2f}"),
+    ("LPIPS", ("lpips",), "{:.3f}"),
+    ("Depth-L1 [cm]", ("depth_l1_cm",), "{:.0f}"),
+    ("s a frame", ("s_per_frame",), "{:.2f}"),
+)
+_STEREO_NAMES = {"onnx": "onnx stereo.preset=nvtiny"}
+
+
+def _stereo(kept: Path, folder: Path) -> str:
+    """Stereo backbones by themselves and in the system, as `bgs-bench stereo-eval --runs --out` wrote them."""
+    file = kept / "stereo_kitti06.csv"
+    with file.open(newline="", encoding="utf-8") as opened:
+        rows = list(csv.DictReader(opened))
+    lines = [markdown_row(["stereo", *(heading for heading, _, _ in _STEREO_COLUMNS)])]
+    lines.append("|" + "---|" * (len(_STEREO_COLUMNS) + 1))
+    for row in rows:
+        cells = [f"`{_STEREO_NAMES.get(row['stereo'], row['stereo'])}`"]
+        for _, keys, form in _STEREO_COLUMNS:
+            values = [row.get(key, "") for key in keys]
+            cells.append(form.format(*map(float, values)) if all(values) else "")
+        lines.append(markdown_row(cells))
+    return "\n".join([*lines, "", f"*[numbers]({link(file, folder)})*"])
+
+
+_MM = "`torch.mm` of 1024^3"
+_WHOLE = "whole iteration (render, L1 + SSIM + geometric loss, backward, Adam)"
+_ISOTROPIC = "100 k near-isotropic Gaussians, 19.6 a pixel"
+_RATIOS = (
+    (f"forward + backward of {_ISOTROPIC} / {_MM}", "rasterizer", "forward + backward, isotropic 100 k / mm"),
+    ("the same with 12.8 a pixel", "rasterizer", "forward + backward, 12.8 a pixel, 100 k / mm"),
+    (
+        f"forward + backward of 100 k opaque 6:1 splats / {_MM}",
+        "rasterizer",
+        "forward + backward, elongated 100 k / mm",
+    ),
+    (f"{_WHOLE} at 100 k, 19.6 a pixel / {_MM}", "rasterizer", "whole iteration, isotropic 100 k / mm"),
+    ("the same with 12.8 a pixel", "rasterizer", "whole iteration, 12.8 a pixel, 100 k / mm"),
+    ("whole iteration at 1 M / at 100 k", "rasterizer", "whole iteration, 1 M / 100 k"),
+    (
+        "gsplat's torch projection, forward + backward / our whole forward + backward",
+        "projection",
+        "torch projection / our whole pass",
+    ),
+    ("L1 + SSIM by conv2d with autograd / fused", "ssim", "conv2d / fused"),
+    ("normal term: torch with autograd / fused", "losses", "normal: torch / core"),
+    ("smoothness term: torch with autograd / fused", "losses", "smooth: torch / core"),
+)
+
+
+def _performance(kept: Path, folder: Path) -> str:
+    """The benchmarks' ratios."""
+    file = kept / performance.FILE
+    content = read_json(file)
+    lines = [markdown_row(["ratio", "measured"]), "|---|---|"]
+    for label, benchmark, name in _RATIOS:
+        value = performance.ratio(content, benchmark, name)
+        lines.append(markdown_row([label, f"{value:.2f}" if value < 10 else f"{value:.0f}"]))
+    return "\n".join([*lines, "", f"*{performance.device_of(content)}; [numbers]({link(file, folder)})*"])
+
+
+# Of a paper's table, what says what its numbers are; other notes are on single runs, and on the published numbers.
+_SHOWN_NOTES = ("Line ours", "Lines ours", "Rules of", "†", "Our numbers", "All our", "By protocol", "Settings", "Made")
+
+
+def _of_table(name: str) -> Callable[[Path, Path], str]:
+    def make(kept: Path, folder: Path) -> str:
+        """A table of the paper with its main notes; the others stand beside the record."""
+        table = make_table(name, [kept / f"{name}{SUFFIX}"])
+        rows, _, _ = table.text("md", folder).partition("\n\n- ")
+        notes = [f"- {note}" for note in table.notes if note.startswith(_SHOWN_NOTES)]
+        more = link(kept / f"{name}.md", folder)
+        return "\n".join([rows, "", *notes, f"- All notes: [{name}.md]({more}), also as .csv, .tex and .html."])
+
+    return make
+
+
+BLOCKS = {
+    "kitti06": Block((f"kitti06{SUFFIX}",), _measured),
+    "performance": Block((performance.FILE,), _performance),
+    "trackers": Block((f"trackers{SUFFIX}",), _trackers),
+    "circuits": Block((f"circuits{SUFFIX}",), _circuits),
+    "stereo": Block(("stereo_kitti06.csv",), _stereo),
+    "ablation": Block((f"ablation{SUFFIX}",), _of_table("ablation")),
+    "backbones": Block((f"backbones{SUFFIX}",), _of_table("backbones")),
+    "dialects": Block((f"dialects{SUFFIX}",), _of_table("dialects")),
+}
+"""By the name in the marker."""
