@@ -8,7 +8,7 @@ images are RGB uint8 (H, W, 3); depth and disparity maps are float32 (H, W) with
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -131,11 +131,25 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
+class Event:
+    """Something that happened in a run, at the frame with number ``frame``; a line of ``events.jsonl``.
+
+    ``kind`` is one of the project's own (``bench/slam/event_log.py`` lists them) or a plugin's; ``values`` are plain
+    data (numbers, text, lists of them), without times, so that equal runs have equal events.
+    """
+
+    kind: str
+    frame: int
+    values: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class TrackingResult:
     """What a tracker says about one frame.
 
     ``T_world_cam`` is None exactly when ``state`` is "lost". ``landmarks`` are ids of the map points observed in this
     frame (int64, unique), or None from a tracker that has no features. ``reprojection_px`` is the RMS over inliers.
+    ``events``: what happened at this frame, in order.
     """
 
     T_world_cam: Float | None
@@ -143,6 +157,7 @@ class TrackingResult:
     inliers: int = 0
     reprojection_px: float = float("nan")
     landmarks: npt.NDArray[np.int64] | None = None
+    events: tuple[Event, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -169,12 +184,13 @@ class Keyframe:
 @dataclass(frozen=True)
 class MappingReport:
     """What the mapper says after a keyframe: PSNR of the newest keyframe in dB, loss terms by name, number of
-    Gaussians."""
+    Gaussians; ``events``: what happened to the map, in order."""
 
     psnr_db: float
     gaussians: int
     iterations: int
     losses: dict[str, float] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
 
 
 @dataclass(frozen=True)
