@@ -61,6 +61,8 @@ class Subject:
             results.append(result)
             tracked += [] if result.state == "lost" else [frame.number]
             require_trajectory(tracker.trajectory(), tracked, f"trajectory() after frame {frame.number}", "trajectory")
+        tracker.finish()
+        require_trajectory(tracker.trajectory(), tracked, "trajectory() after finish()", "finish")
         return Drive(results, tracker.trajectory(), seconds / len(self.frames) * 1e3)
 
 

@@ -43,27 +43,52 @@ class TrackedFrame:
     poses: Float
 
 
+@dataclass(frozen=True)
+class Correction:
+    """What ``Tracker.finish`` changed: trajectory ``rows`` (K,), their ``poses`` (K, 4, 4); and what it logged."""
+
+    rows: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    poses: Float = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    said: list[Said] = field(default_factory=list)
+
+
 @dataclass
 class Recording:
-    """A sequence of tracked frames; ``numbers`` and ``timestamps`` (N,) are those of the last trajectory."""
+    """A sequence of tracked frames; ``numbers`` and ``timestamps`` (N,) are those of the last trajectory, and ``last``
+    is the correction that came after the last frame."""
 
     frames: list[TrackedFrame] = field(default_factory=list)
     numbers: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     timestamps: Float = field(default_factory=lambda: np.zeros(0))
+    last: Correction = field(default_factory=lambda: Correction())
     _poses: Float = field(default_factory=lambda: np.zeros((0, 4, 4)))
 
     def add(self, digest: bytes, result: TrackingResult, seconds: float, said: list[Said], after: Trajectory) -> bool:
         """Append a frame; False (and nothing is added) where the trajectory dropped a frame that it had before."""
+        rows = self._changed(after)
+        if rows is None:
+            return False
+        self.frames.append(TrackedFrame(digest, result, seconds, said, rows, after.T_world_cam[rows]))
+        return True
+
+    def end(self, said: list[Said], after: Trajectory) -> bool:
+        """Note what ``finish`` changed; False as in ``add``."""
+        rows = self._changed(after)
+        if rows is None:
+            return False
+        self.last = Correction(rows, after.T_world_cam[rows], said)
+        return True
+
+    def _changed(self, after: Trajectory) -> npt.NDArray[np.int64] | None:
+        """Rows of the trajectory that are new or moved, which is known from now on; None where frames were dropped."""
         known = len(self.numbers)
         if not np.array_equal(after.numbers[:known], self.numbers):
-            return False
+            return None
         changed = np.ones(len(after), dtype=bool)
         changed[:known] = (after.T_world_cam[:known] != self._poses).any(axis=(1, 2))
-        rows = np.flatnonzero(changed)
-        self.frames.append(TrackedFrame(digest, result, seconds, said, rows, after.T_world_cam[rows]))
         self.numbers, self.timestamps = after.numbers, after.timestamps
         self._poses = after.T_world_cam.copy()
-        return True
+        return np.flatnonzero(changed)
 
     def encode(self) -> bytes:
         """All of it as the bytes of an ``.npz`` file."""
@@ -86,6 +111,9 @@ class Recording:
             "poses": np.concatenate([*(frame.poses for frame in self.frames), np.zeros((0, 4, 4))]),
             "numbers": self.numbers,
             "timestamps": self.timestamps,
+            "last_rows": self.last.rows,
+            "last_poses": self.last.poses,
+            "last_said": np.array(json.dumps(self.last.said)),
         }
         file = io.BytesIO()
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # its stub takes allow_pickle for an array
@@ -117,6 +145,9 @@ class Recording:
                 )
                 for k in range(len(a["states"]))
             ]
-            return cls(frames, a["numbers"], a["timestamps"])
+            last = Correction(
+                a["last_rows"], a["last_poses"], [tuple(line) for line in json.loads(str(a["last_said"]))]
+            )
+            return cls(frames, a["numbers"], a["timestamps"], last)
         except (ValueError, KeyError, IndexError, OSError, zipfile.BadZipFile) as error:
             raise DamagedEntryError(f"it is no recording: {error}") from error

@@ -37,9 +37,9 @@ _LOGGERS = ("bench", "plugins")
 def cached_tracker(tracker: Tracker, config: PluginConfig, dataset: Mapping[str, Any], cache: CacheConfig) -> Tracker:
     """``tracker`` behind the cache, or itself where sharing is switched off (``cache.all``) or it is not worth it.
 
-    ``dataset`` is the data set's part of the run's config.
+    ``dataset`` is the data set's part of the run's config. What a tracker says that looks at the map is never shared.
     """
-    if not (cache.enabled and cache.all and tracker.worth_caching):
+    if not (cache.enabled and cache.all and tracker.worth_caching) or tracker.uses_map:
         return tracker
     return CachedTracker(tracker, config, dataset, CacheStore(Path(cache.folder), cache.limit_gb * 1e9))
 
@@ -86,6 +86,24 @@ class CachedTracker(Tracker):
         self._record(digest, result, seconds, said)
         return result
 
+    def finish(self) -> None:
+        """Repeat the recorded last correction, or let the tracker finish, and keep the recording for later runs."""
+        if self._repeated is not None:
+            if self._position == len(self._repeated.frames):
+                last = self._repeated.last
+                self._poses[last.rows] = last.poses
+                _say_again(last.said)
+            return
+        with _heard() as said:
+            self._tracker.finish()
+        if self._recording is None or self._position < len(self._dataset):
+            return
+        if self._recording.end(said, self._tracker.trajectory()):
+            try:
+                self._store.write_content("tracker", self._name, self._key, self._recording.encode())
+            except (OSError, BenchError) as error:
+                log.warning("cache: going on without keeping the trajectory in %s: %s", self._store.folder, error)
+
     def trajectory(self) -> Trajectory:
         """As of the newest frame."""
         if self._repeated is None:
@@ -100,8 +118,7 @@ class CachedTracker(Tracker):
             missing = max(int(frame.rows.max()) + 1 - len(self._poses), 0)
             self._poses = np.concatenate([self._poses, np.zeros((missing, 4, 4))])
             self._poses[frame.rows] = frame.poses
-        for level, name, text in frame.said:
-            logging.getLogger(name).log(level, "%s", text)
+        _say_again(frame.said)
         self.last_cost = Cost(frame.seconds, cached=True)
         return frame.result
 
@@ -114,17 +131,11 @@ class CachedTracker(Tracker):
             self._tracker.track(self._dataset.frame(each))
 
     def _record(self, digest: bytes, result: TrackingResult, seconds: float, said: list[Said]) -> None:
-        """Note the answer; after the last frame, put the recording where later runs find it."""
-        recording = self._recording
-        if recording is None:
-            return
-        if not recording.add(digest, result, seconds, said, self._tracker.trajectory()):
+        """Note the answer; a tracker that drops frames that it had located can't be recorded."""
+        if self._recording is not None and not self._recording.add(
+            digest, result, seconds, said, self._tracker.trajectory()
+        ):
             self._recording = None
-        elif self._position == len(self._dataset):
-            try:
-                self._store.write_content("tracker", self._name, self._key, recording.encode())
-            except (OSError, BenchError) as error:
-                log.warning("cache: going on without keeping the trajectory in %s: %s", self._store.folder, error)
 
     def _read(self) -> Recording | None:
         content = self._store.read_content("tracker", self._name, self._key)
@@ -151,6 +162,11 @@ def _key(tracker: Tracker, config: PluginConfig, dataset: Mapping[str, Any]) -> 
         "machine": what_computes(),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _say_again(said: list[Said]) -> None:
+    for level, name, text in said:
+        logging.getLogger(name).log(level, "%s", text)
 
 
 @contextmanager

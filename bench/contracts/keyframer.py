@@ -3,13 +3,33 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any
 
+from bench.contracts.map_view import MapView
 from bench.types import KeyframeDecision, StereoFrame, TrackingResult
 
 
 class Keyframer(ABC):
     """Decides which tracked frames become keyframes and which keyframes are active."""
 
+    uses_map: bool = False
+    """True for a keyframer that looks at the map: it gets ``use_map``, and the run goes in step."""
+
+    def use_map(self, view: MapView) -> None:
+        """The map to look at, for one that ``uses_map``; called once, before the first frame."""
+        raise NotImplementedError(f"{type(self).__name__} says uses_map and has no use_map()")
+
     @abstractmethod
     def update(self, frame: StereoFrame, tracking: TrackingResult) -> KeyframeDecision:
         """Called for every tracked frame that mapping may use, in order; never for lost or held-out frames."""
+
+    def state(self) -> dict[str, Any] | None:
+        """All that deciding goes on from, for a checkpoint, as ``Tracker.state``; None (the default) = it has none.
+
+        Needed from tracker and keyframer alike where one of them ``uses_map``.
+        """
+        return None
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what ``state`` gave; called after ``use_map``."""
+        raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to go on from it")

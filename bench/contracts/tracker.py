@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any
 
 from bench.contracts.dataset import Dataset
+from bench.contracts.map_view import MapView
 from bench.types import StereoFrame, TrackingResult, Trajectory
 
 
@@ -13,16 +15,42 @@ class Tracker(ABC):
 
     worth_caching: bool = False
     """Whether its answers may be shared between runs with the same frames and settings, and cost more than reading
-    them: True for a tracker that looks at images and always says the same about them."""
+    them: True for a tracker that looks at images and always says the same about them. One that ``uses_map`` never is
+    shared."""
+    uses_map: bool = False
+    """True for a tracker that looks at the map: it gets ``use_map``, and the run goes in step, one frame at a time."""
 
     @abstractmethod
     def start(self, dataset: Dataset) -> None:
         """Called once before the first frame. The data set gives the camera and, to ``groundtruth``, the poses."""
 
+    def use_map(self, view: MapView) -> None:
+        """The map to look at, for one that ``uses_map``; called once, after ``start`` and before the first frame."""
+        raise NotImplementedError(f"{type(self).__name__} says uses_map and has no use_map()")
+
     @abstractmethod
     def track(self, frame: StereoFrame) -> TrackingResult:
-        """Pose of this frame, as well as it is known now. Called once a frame, in order."""
+        """Pose of this frame, as well as it is known now. Called once per frame, in order."""
+
+    def finish(self) -> None:  # noqa: B027 - most trackers have nothing left to do
+        """Called once after the last frame, also when the run ends early: for last corrections of poses, and the end of
+        processes. ``trajectory`` is asked for afterwards too."""
 
     @abstractmethod
     def trajectory(self) -> Trajectory:
-        """The best poses known now of all frames tracked so far (later corrections included; lost frames absent)."""
+        """The best poses known now of all frames tracked so far (later corrections included; lost frames absent).
+
+        Asking changes nothing, however often it is done.
+        """
+
+    def state(self) -> dict[str, Any] | None:
+        """All that tracking goes on from, for a checkpoint: CPU tensors, numbers, text, and lists and dicts of them.
+
+        Needed by those that ``uses_map``, whose frames can't be tracked again without the map of then; the frames of
+        others are tracked again. None (the default): runs with such a tracker begin anew after a kill.
+        """
+        return None
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what ``state`` gave, to the same bits; called after ``start`` and ``use_map``."""
+        raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to go on from it")

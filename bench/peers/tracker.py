@@ -95,10 +95,20 @@ class PeerTracker(Tracker):
             self._count_failure(f"frame {frame.number}", failure)
             return TrackingResult(None, "lost")
 
+    def finish(self) -> None:
+        """Take over the peer's final poses, if it was shown all frames, and end its process."""
+        if self._peer is None:
+            return
+        try:
+            if self._frames_seen >= self._frames_expected:
+                self._take_corrections(self._ask(Message("finish"), self._limits.start_timeout_s, "finished"))
+        except PeerFailure as failure:
+            log.warning("at the end, %s %s; the poses are those that it gave frame by frame", self._name, failure)
+        finally:
+            self._close()
+
     def trajectory(self) -> Trajectory:
-        """Poses of the located frames; after the last frame the peer's final ones, and its process is gone."""
-        if self._frames_seen >= self._frames_expected:
-            self._finish()
+        """Poses of the located frames; after ``finish`` the peer's final ones."""
         tracked = sorted(self._tracked.values(), key=lambda one: one.position)
         return Trajectory(
             np.array([self._in_world(one) for one in tracked], dtype=np.float64).reshape(-1, 4, 4),
@@ -177,15 +187,6 @@ class PeerTracker(Tracker):
                 one.key, one.T_map_cam = key, se3.orthonormalise(T_map_cam)
             else:
                 self._tell_once(f"a corrected pose that {self._name} gave is no rigid motion; the first one is kept")
-
-    def _finish(self) -> None:
-        if self._peer is None:
-            return
-        try:
-            self._take_corrections(self._ask(Message("finish"), self._limits.start_timeout_s, "finished"))
-        except PeerFailure as failure:
-            log.warning("at the end, %s %s; the poses are those that it gave frame by frame", self._name, failure)
-        self._close()
 
     def _count_failure(self, where: str, failure: PeerFailure) -> None:
         self._close()

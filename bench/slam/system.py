@@ -108,6 +108,7 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
     going_on = values["resume"] and not values["rerun"]
     folder = RunFolder.create(config.output, values, config.hash, rerun=values["rerun"], keep_log=going_on)
     if folder.already_done:
+        system.tracker.finish()
         return folder
     checkpoints = Checkpoints(folder.path, _fingerprint(config, system), values["checkpoint_s"])
     if not going_on:
@@ -122,6 +123,7 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
             state, reason = _how_it_ended(error)
             log.exception("The run ended early: %s", reason)
             try:
+                run.finish_tracking()
                 save_outputs(run.system, folder, run.done, run.memory)
             except Exception:
                 # What ended the run is what the user must hear of; that it broke the saving too is in the log.
@@ -159,6 +161,7 @@ class _Run:
     progress: Progress | None
     done: Done = field(default_factory=Done)
     memory: PeakMemory = field(default_factory=PeakMemory)
+    _tracking: bool = True
 
     @property
     def total(self) -> int:
@@ -172,13 +175,22 @@ class _Run:
         except ReplayDiffersError as error:
             log.warning("%s; the run begins anew. Is a plugin not deterministic?", error)
             self.checkpoints.remove()
-            self.system, self.done = System.build(self.config), Done()
+            self.finish_tracking()
+            self.system, self.done, self._tracking = System.build(self.config), Done(), True
             self._map_frames(None)
+        self.finish_tracking()
         self._optimise_at_the_end()
         self.done.wall_s = self.done.elapsed_s()
         self._tell("rendering", now=True)
         save_views(self.system, self.folder)
         save_outputs(self.system, self.folder, self.done, self.memory)
+
+    def finish_tracking(self) -> None:
+        """Tell the tracker, once, that no frame follows."""
+        if self._tracking:
+            self._tracking = False
+            with self.done.timed("tracking"):
+                self.system.tracker.finish()
 
     def _map_frames(self, snapshot: Snapshot | None) -> None:
         values = self.config.values

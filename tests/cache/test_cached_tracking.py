@@ -107,6 +107,32 @@ def test_a_run_that_stops_early_leaves_no_recording(tmp_path: Path, monkeypatch:
     assert not list((tmp_path / "cache").rglob("tracker/*/*/*.entry"))
 
 
+def test_what_finish_corrects_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tracker that moves its third pose by a metre at the very end, and says so."""
+    finished: list[bool] = []
+    trajectory = StereoOrb.trajectory
+
+    def finish(self: StereoOrb) -> None:
+        finished.append(True)
+        logging.getLogger("bench.tracking").info("the last correction")
+
+    def corrected(self: StereoOrb) -> Trajectory:
+        known = trajectory(self)
+        if finished:
+            known.T_world_cam[2, 0, 3] += 1.0
+        return known
+
+    monkeypatch.setattr(StereoOrb, "finish", finish)
+    monkeypatch.setattr(StereoOrb, "trajectory", corrected)
+    first = run(tmp_path, "first", "mapper=none")
+    second = run(tmp_path, "second", "mapper=none", "seed=3")
+    assert len(finished) == 1
+    assert (first / "trajectory.csv").read_bytes() == (second / "trajectory.csv").read_bytes()
+    moved = pd.read_csv(second / "trajectory.csv").iloc[:, 2:]
+    assert abs(moved.to_numpy()[2] - moved.to_numpy()[1]).max() > 0.9
+    assert "the last correction" in (second / "log.txt").read_text()
+
+
 def test_by_default_nothing_quick_is_kept(tmp_path: Path) -> None:
     run(tmp_path, "one", "mapper=none", "cache.all=false")
     assert not (tmp_path / "cache").exists()

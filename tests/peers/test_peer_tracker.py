@@ -43,11 +43,12 @@ class FakeTracker(PeerTracker):
 
 
 def drive(tracker: FakeTracker, frames: int) -> list[TrackingResult]:
-    """Track frames; the peer's process is checked to be gone when the trajectory has been fetched."""
+    """Track frames; the peer's process is checked to be there for the trajectory, and gone after the end."""
     dataset = Frames(frames)
     tracker.start(dataset)
     results = [tracker.track(dataset.frame(position)) for position in range(frames)]
     tracker.trajectory()
+    tracker.finish()
     assert tracker._peer is None
     return results
 

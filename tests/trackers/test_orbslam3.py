@@ -38,6 +38,7 @@ def track(slam: OrbSlam3, dataset: Dataset, kill_before: int = -1) -> list[Track
             assert slam._peer is not None
             os.kill(slam._peer.pid, signal.SIGKILL)
         results.append(slam.track(dataset.frame(position)))
+    slam.finish()
     return results
 
 

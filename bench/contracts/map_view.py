@@ -1,0 +1,43 @@
+"""What a tracker or keyframer may ask of the map: the one arrow of the data flow that points back."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from bench.types import Float, Map, PinholeView, RenderedView
+
+ImageLoss = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""A scalar of colour (3, H, W), depth (H, W) = sum d alpha T in metres and alpha (H, W): tensors with gradients."""
+
+
+class MapView(ABC):
+    """Read-only sight of the map as the mapper has it now: all keyframes before the current frame are in it.
+
+    Before the first keyframe the map is empty: renders are black with alpha and depth 0, gradients are zero, nothing is
+    seen. A map that can't offer one of these raises ``BenchError`` with the reason.
+    """
+
+    @abstractmethod
+    def render(self, view: PinholeView) -> RenderedView:
+        """The map from a view, as numpy arrays."""
+
+    @abstractmethod
+    def differentiate(self, view: PinholeView, loss: ImageLoss) -> tuple[float, Float]:
+        """Value of ``loss`` of the render, and its gradient (6,) float64 by the camera's twist.
+
+        The twist is the left perturbation p_cam -> exp(twist) p_cam: translation in metres, then rotation in radians.
+        """
+
+    @abstractmethod
+    def seen(self, view: PinholeView) -> npt.NDArray[np.int32]:
+        """(N,) for each element of the map (Gaussian, point): pixels in which it shows while more than half of the
+        light is left."""
+
+    @abstractmethod
+    def median_depth(self, view: PinholeView) -> Map:
+        """(H, W) float32 metres: where half of the light is gone; NaN where it never is."""
