@@ -8,6 +8,7 @@ images are RGB uint8 (H, W, 3); depth and disparity maps are float32 (H, W) with
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -57,10 +58,9 @@ class StereoCamera:
 
 @dataclass(frozen=True)
 class PinholeView:
-    """A camera to render from: ``T_cam_world`` (4, 4) float64 world to camera, intrinsics in px, pixel centres at
-    integers."""
+    """A camera to render from: its pose ``T_world_cam`` (4, 4) float64, intrinsics in px, pixel centres at integers."""
 
-    T_cam_world: Float
+    T_world_cam: Float
     fx: float
     fy: float
     cx: float
@@ -71,12 +71,16 @@ class PinholeView:
     @classmethod
     def of(cls, camera: StereoCamera, T_world_cam: Float) -> PinholeView:
         """The view of ``camera``'s intrinsics at pose ``T_world_cam``."""
-        T_cam_world = np.asarray(np.linalg.inv(T_world_cam), np.float64)
-        return cls(T_cam_world, camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+        return cls(T_world_cam, camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+
+    @cached_property
+    def T_cam_world(self) -> Float:
+        """World to camera (4, 4) float64, contiguous."""
+        return np.asarray(np.linalg.inv(self.T_world_cam), np.float64)
 
     def halved(self) -> PinholeView:
         """The view whose pixels are the means of 2x2 blocks of this one (an odd last row or column is dropped)."""
-        return replace(
+        half = replace(
             self,
             fx=self.fx / 2,
             fy=self.fy / 2,
@@ -85,6 +89,8 @@ class PinholeView:
             width=self.width // 2,
             height=self.height // 2,
         )
+        vars(half)["T_cam_world"] = self.T_cam_world  # the same camera: not inverted a second time
+        return half
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,7 @@ def random_scene(spec: SceneSpec) -> tuple[Tensor, PinholeView]:
     u, v = rng.uniform(-0.3, 1.3, n) * spec.width, rng.uniform(-0.3, 1.3, n) * spec.height
     in_camera = np.stack([(u - view.cx) / view.fx * z, (v - view.cy) / view.fy * z, z], 1)
     in_camera[::11] *= -1.0  # behind the camera
-    T_world_cam = np.linalg.inv(view.T_cam_world)
-    means = in_camera @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
+    means = in_camera @ view.T_world_cam[:3, :3].T + view.T_world_cam[:3, 3]
     pixels = rng.uniform(1.0, 4.0, n)
     sigma = pixels * z / view.fx
     axes = sigma[:, None] * np.stack([np.ones(n), rng.uniform(0.8, 1.0, n), np.full(n, 1 / spec.ratio)], 1)

@@ -147,7 +147,7 @@ def _gradients(subject: Subject) -> str:
 def _nothing_to_see(subject: Subject) -> str:
     _, view = random_scene(_SCENES[1])
     behind = torch.zeros(PLANES, 1)
-    behind[:3, 0] = torch.from_numpy(np.linalg.inv(view.T_cam_world) @ [0.1, 0.1, -3.0, 1.0])[:3].float()
+    behind[:3, 0] = torch.from_numpy(view.T_world_cam @ [0.1, 0.1, -3.0, 1.0])[:3].float()
     behind[6] = 1.0
     for planes in (torch.zeros(PLANES, 0), behind):
         rendered, grads = subject.both_ways(planes, view)

@@ -133,6 +133,7 @@ def seed_gaussians(
     v, u = np.nonzero(grid & usable & unexplained)
     z = 1.0 / inverse[v, u]
     points = np.stack([(u - view.cx) / view.fx * z, (v - view.cy) / view.fy * z, z], 1)
+    # The inverse of the inverse, which differs from view.T_world_cam in the last bits: all kept results stand on it.
     T_world_cam = np.linalg.inv(view.T_cam_world)
     means = points @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
     sigma = config.size * config.stride * z / view.fx

@@ -14,7 +14,7 @@ from bench.types import PinholeView
 H, W = 24, 40
 ROTATION = cv2.Rodrigues(np.array([0.2, -0.4, 0.1]))[0]
 T_WORLD_CAM = np.vstack([np.column_stack([ROTATION, [3.0, -1.0, 7.0]]), [0, 0, 0, 1]])
-VIEW = PinholeView(np.linalg.inv(T_WORLD_CAM), 50.0, 55.0, 18.0, 13.0, W, H)
+VIEW = PinholeView(T_WORLD_CAM, 50.0, 55.0, 18.0, 13.0, W, H)
 PLAIN = SeedConfig(stride=1, size=0.6, thickness=0.2, opacity=0.5, fill_holes=False, sky_distance_m=0.0)
 ALL = np.ones((H, W), bool)
 RNG = np.random.default_rng(0)

@@ -150,7 +150,7 @@ def test_twist_against_numerical_differentiation(small_scene: tuple[Tensor, Pinh
         generator[:3, :3] = torch.tensor([[0, -c, b], [c, 0, -a], [-b, a, 0]], dtype=torch.float64)
         generator[:3, 3] = rho
         moved = torch.matrix_exp(generator).numpy() @ view.T_cam_world
-        turned = PinholeView(moved, view.fx, view.fy, view.cx, view.cy, view.width, view.height)
+        turned = PinholeView(np.linalg.inv(moved), view.fx, view.fy, view.cx, view.cy, view.width, view.height)
         r = reference.render(planes, turned, differentiable=False)
         return (r.color * grads[0]).sum() + (r.depth * grads[1]).sum() + (r.alpha * grads[2]).sum()
 
