@@ -26,6 +26,7 @@ from bench import registry
 from bench.cache.settings import CacheConfig
 from bench.discovery import load_plugins
 from bench.errors import BenchError, did_you_mean, first_line, require_choice
+from bench.installed_data import config_folder
 from bench.plugin_config import plugin_config_from
 from bench.protocol import Protocol
 from bench.registry import KINDS, SEVERAL_AT_ONCE, PluginConfig
@@ -111,12 +112,6 @@ class RunConfig:
     def output(self) -> Path:
         """The run folder."""
         return Path(self.values["output"] or f"results/runs/{self.hash}")
-
-
-def config_folder() -> Path:
-    """Where the YAML files are: inside the installed package, else beside it in the checkout."""
-    installed = Path(__file__).parent / "conf"
-    return installed if installed.is_dir() else Path(__file__).parent.parent / "conf"
 
 
 def register_schema() -> None:
@@ -219,7 +214,7 @@ def check_overrides(overrides: Sequence[str]) -> list[Override]:
             f"Can't read the override '{error.override}': {first_line(error)}. Write key=value, for example "
             "stereo=sgbm; quote values with spaces or special characters."
         ) from error
-    load_plugins(_plugin_folders(parsed))
+    load_plugins(plugin_folders(parsed))
     for override in parsed:
         group = override.key_or_group
         if group not in _groups() or override.is_delete() or override.is_sweep_override():
@@ -233,7 +228,8 @@ def check_overrides(overrides: Sequence[str]) -> list[Override]:
     return parsed
 
 
-def _plugin_folders(parsed: list[Override]) -> list[str]:
+def plugin_folders(parsed: Sequence[Override]) -> list[str]:
+    """The user's own folders among parsed overrides (``plugins=[...]``); raises ``BenchError`` for several choices."""
     override = next((o for o in parsed if o.get_key_element() == "plugins"), None)
     if override is None:
         return []

@@ -34,6 +34,15 @@ def load_plugins(folders: Iterable[str] = ()) -> None:
         _load_folder(Path(folder).expanduser())
 
 
+def package_folders() -> list[Path]:
+    """The folders of the installed packages that bring plugins, for what they bring beside Python (tables)."""
+    found = []
+    for entry in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP):
+        spec = importlib.util.find_spec(entry.module.partition(".")[0])
+        found += [Path(place) for place in (spec.submodule_search_locations or [] if spec else [])]
+    return found
+
+
 def _load_folder(folder: Path) -> None:
     if not folder.is_dir():
         raise BenchError(f"plugins: the folder {folder} does not exist. Create it, or remove it from plugins=[...].")

@@ -9,8 +9,8 @@ from pathlib import Path
 from string import Template
 
 from bench import registry
-from bench.config import config_folder
 from bench.errors import BenchError, require_choice
+from bench.installed_data import config_folder
 from bench.io.atomic import write_text
 from bench.registry import KINDS
 

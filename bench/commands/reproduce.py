@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.config import check_overrides, plugin_folders, with_home
 from bench.runs.config_file import CONFIG_FILE
 from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
 from bench.sweeps.launchers.make import make_runs
@@ -16,7 +17,7 @@ from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import Plan, make_plan
 from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView
-from bench.tables.named.definitions import SEEDS, TABLES, named_table
+from bench.tables.named.find import named_table, table_files
 from bench.tables.named.records import VIEW_GROUPS
 from bench.tables.named.table import make_table
 
@@ -25,6 +26,7 @@ _EXAMPLES = """examples:
   bgs-bench reproduce backbones dataset.root=DIR dataset.frames=0:10 mapper.iterations=8 --seeds 0 --jobs 2
   bgs-bench reproduce main_kitti dataset.root=DIR launcher=ray hydra.launcher.ray.init.address=auto
   bgs-bench reproduce main_kitti dataset.root=DIR --dry-run
+  bgs-bench reproduce mine 'plugins=[FOLDER]' dataset.root=DIR       # a table of yours, FOLDER/table/mine.yaml
 
 Killed or stopped, the same command goes on where it was. A run is whole or made again; those that are there stay."""
 
@@ -37,10 +39,10 @@ def add_parser(subparsers: Any) -> None:
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("table", metavar="TABLE", help=f"one of {', '.join(TABLES)}")
+    parser.add_argument("table", metavar="TABLE", help=f"one of {', '.join(table_files())}, or one of yours")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="for all runs, as for `bgs-bench run`")
     parser.add_argument(
-        "--seeds", type=_seeds, default=SEEDS, metavar="0,1,2", help="a run of each cell for each (default: 0,1,2)"
+        "--seeds", type=_seeds, metavar="0,1,2", help="a run of each cell for each (default: the table's, 0,1,2)"
     )
     parser.add_argument(
         "--missing", action="store_true", help="only runs without a folder; default: also those stopped or killed"
@@ -60,9 +62,10 @@ def run(args: argparse.Namespace) -> int:
 
     Raises ``BenchError`` for wrong input, before anything is run.
     """
-    table = named_table(args.table)
     overrides, launcher = split_launcher(args.overrides, args.jobs)
-    plan = make_plan(table, overrides, args.seeds)
+    folders = plugin_folders(check_overrides(with_home(overrides)))
+    table = named_table(args.table, folders)
+    plan = make_plan(table, overrides, args.seeds or table.seeds)
     choice = Choice(interrupted=not args.missing, failed=args.rerun_failed)
     console = Console()
     if args.dry_run:
@@ -79,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         _say(f"stopped; {_counted(plan)}. The same command goes on from there.", console)
         return 130
-    _write_table(table.name, plan, args, console)
+    _write_table(table.name, folders, plan, args, console)
     _say(f"{table.name}: {_counted(plan)}", console)
     return 0 if all(look_up(planned.folder).progress == "finished" for planned in plan.runs) else 1
 
@@ -114,13 +117,13 @@ def _say_skipped(plan: Plan, console: Console) -> None:
         _say(f"skipped: {'; '.join(labels[:2])}{more}: {reason}", console)
 
 
-def _write_table(name: str, plan: Plan, args: argparse.Namespace, console: Console) -> None:
+def _write_table(name: str, users: list[str], plan: Plan, args: argparse.Namespace, console: Console) -> None:
     """Print the table of this plan's runs alone and write it in every format; without any run there is none."""
     folders = [planned.folder for planned in plan.runs if (planned.folder / CONFIG_FILE).is_file()]
     if not folders:
         _say("no run was made, so the table was not written", console)
         return
-    table = make_table(name, folders, args.views)
+    table = make_table(name, folders, args.views, users)
     table.print(console)
     for file in table.write(args.out):
         _say(f"wrote {file}", console)

@@ -11,14 +11,15 @@ from rich.console import Console
 from bench.errors import BenchError, did_you_mean
 from bench.io.atomic import write_text
 from bench.tables.collect import DEFAULT_FOLDER, collect_row, find_runs
-from bench.tables.named.definitions import TABLE_NAMES
+from bench.tables.named.find import table_names
 from bench.tables.named.records import VIEW_GROUPS, read_runs
 from bench.tables.named.table import FORMATS, make_table
 from bench.tables.records.file import SUFFIX, is_record_file, read_record_file, record_text
 from bench.tables.records.rows import row_of_record
 from bench.tables.render import print_table, writer_for
 
-_ABOUT = f"""The paper's tables are {", ".join(TABLE_NAMES)}; without a name: one row a run.
+_ABOUT = f"""The named tables are NAMES; without a name: one row per run.
+A table of yours is FOLDER/table/NAME.yaml, with its published numbers beside it as CSV; give --plugins FOLDER.
 
 A record file (NAME{SUFFIX}) keeps what tables need of runs when the run folders are gone. It goes wherever run folders
 go, and gives the same tables; --out FOLDER writes one beside a named table, whose cells link to it."""
@@ -26,6 +27,7 @@ go, and gives the same tables; --out FOLDER writes one beside a named table, who
 _EXAMPLES = f"""examples:
   bgs-bench table main_kitti results/runs --out results/tables
   bgs-bench table main_kitti results/tables/main_kitti{SUFFIX} --format tex
+  bgs-bench table mine results/runs --plugins FOLDER
   bgs-bench table results/runs/a results/runs/b --out trackers.md trackers{SUFFIX}"""
 
 
@@ -33,8 +35,8 @@ def add_parser(subparsers: Any) -> None:
     """Register the command with the parser that ``bgs-bench`` builds."""
     parser = subparsers.add_parser(
         "table",
-        help="one row a run, or one of the paper's tables: to the terminal, and to .md, .csv, .tex, .html",
-        description=_ABOUT,
+        help="one row per run, or one of the paper's tables: to the terminal, and to .md, .csv, .tex, .html",
+        description=_ABOUT.replace("NAMES", ", ".join(table_names())),
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -60,16 +62,22 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--views", choices=VIEW_GROUPS, help="named table: whose image metrics (default: a record's own, else left)"
     )
+    parser.add_argument(
+        "--plugins", action="append", default=[], metavar="FOLDER", help="a folder with tables of yours"
+    )
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the table and write it to each ``--out``; raises ``BenchError`` for a wrong name, folder or extension."""
     name = str(args.runs[0]) if args.runs else ""
-    if name in TABLE_NAMES:
+    names = table_names(args.plugins)
+    if name in names:
         return _named(name, args.runs[1:], args)
-    if near := "" if not name or args.runs[0].exists() else did_you_mean(name, TABLE_NAMES):
-        raise BenchError(f"There is no folder and no table {name}; the tables are {', '.join(TABLE_NAMES)}.{near}")
+    if name and "/" not in name and not args.runs[0].exists():
+        raise BenchError(
+            f"There is no folder and no table {name}; the tables are {', '.join(names)}.{did_you_mean(name, names)}"
+        )
     if args.format:
         raise BenchError("--format goes with a table's name; write the table of runs with --out FILE.md or FILE.csv.")
     texts = {path: None if is_record_file(path) else writer_for(path) for path in args.out}
@@ -87,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _named(name: str, runs: list[Path], args: argparse.Namespace) -> int:
     files = [place for place in args.out if _is_file(place)]
-    table = make_table(name, runs, args.views)
+    table = make_table(name, runs, args.views, args.plugins)
     if args.format and not args.out:
         print(table.text(args.format, Path()), end="")
         return 0

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from bench.config import check_overrides, combinations, compose_run, with_home
+from bench.config import check_overrides, combinations, with_home
 from bench.errors import BenchError
 from bench.sweeps.experiment import expand_experiment
-from bench.sweeps.plan import Plan, PlannedRun, quoted, sharing
+from bench.sweeps.plan import Plan, PlannedRun, compose_cell, quoted, sharing
 from bench.tables.collect import DEFAULT_FOLDER
 from bench.tables.named.definitions import Cell
 
@@ -30,7 +30,7 @@ def plan_combinations(overrides: Sequence[str]) -> Plan:
 
 
 def _planned(cell: Cell, combination: list[str], swept: Sequence[str]) -> PlannedRun:
-    config = compose_run(combination)
+    config = compose_cell(cell, combination)
     folder = Path(config.values["output"] or DEFAULT_FOLDER) / config.hash
     keys = [each.partition("=")[0] for each in combination]
     own = [each for each, key in zip(combination, keys, strict=True) if key in swept and key not in ("seed", "output")]

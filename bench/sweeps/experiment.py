@@ -1,11 +1,14 @@
-"""``experiment=NAME`` of ``bgs-bench run -m``: the rows and sequences of a table of the paper, as overrides."""
+"""``experiment=NAME`` of ``bgs-bench run -m``: the rows and sequences of a named table, as overrides."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bench.config import check_overrides, plugin_folders
 from bench.errors import BenchError, require_choice
-from bench.tables.named.definitions import TABLES, Cell, cells
+from bench.tables.named.definitions import Cell, cells
+from bench.tables.named.find import table_files
+from bench.tables.named.loading import read_table
 
 EXPERIMENT = "experiment="
 """How the override begins."""
@@ -22,6 +25,7 @@ def expand_experiment(overrides: Sequence[str]) -> list[tuple[Cell, list[str]]]:
         return [(Cell("", "", ()), list(overrides))]
     if len(names) > 1:
         raise BenchError(f"{' '.join(EXPERIMENT + name for name in names)}: give one experiment at a time.")
-    table = TABLES[require_choice("experiment", names[0], TABLES)]
     others = [each for each in overrides if not each.startswith(EXPERIMENT)]
+    files = table_files(plugin_folders(check_overrides(others)))
+    table = read_table(files[require_choice("experiment", names[0], files)])
     return [(cell, cell.overrides_with(others)) for cell in cells(table) if not cell.blocked]

@@ -11,8 +11,9 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from bench import registry
-from bench.config import RunConfig, check_overrides, compose_run, config_folder, resolved, with_home
+from bench.config import RunConfig, check_overrides, compose_run, resolved, with_home
 from bench.errors import BenchError
+from bench.installed_data import config_folder
 from bench.registry import KINDS, SEVERAL_AT_ONCE
 from bench.sweeps.job import Job
 from bench.tables.collect import DEFAULT_FOLDER
@@ -137,8 +138,20 @@ def _without_plugin(cell: Cell) -> str:
     return ""
 
 
+def compose_cell(cell: Cell, overrides: Sequence[str]) -> RunConfig:
+    """Compose a run of a cell; raises ``BenchError``, with the row's place where the row itself is wrong."""
+    try:
+        return compose_run(overrides)
+    except BenchError as error:
+        try:
+            compose_run(cell.overrides_with(()))
+        except BenchError as of_row:
+            raise BenchError(f"{cell.source}: {of_row}") from of_row
+        raise error
+
+
 def _compose(table: NamedTable, cell: Cell, common: Sequence[str]) -> RunConfig:
-    config = compose_run(cell.overrides_with(common))
+    config = compose_cell(cell, cell.overrides_with(common))
     if row_of(table, config.values) != (cell.row, cell.column):
         raise BenchError(
             f"With {' '.join(common)} a run of '{cell.row}' would no longer be one of this row of {table.name}. "

@@ -33,7 +33,8 @@ from kitti360_disk import (
 from bench.config import compose_run
 from bench.errors import BenchError
 from bench.registry import build
-from bench.tables.named.definitions import cells, named_table
+from bench.tables.named.definitions import cells
+from bench.tables.named.find import named_table
 from bench.tables.named.overrides import row_of
 from bench.tables.named.published import read_sequences
 from plugins.datasets.kitti360 import Kitti360, Kitti360Config

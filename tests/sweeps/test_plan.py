@@ -18,7 +18,7 @@ from bench.sweeps.combinations import plan_combinations
 from bench.sweeps.experiment import expand_experiment
 from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import make_plan
-from bench.tables.named.definitions import named_table
+from bench.tables.named.find import named_table
 
 SMALL = ("mapper.iterations=3", "tracker=groundtruth")
 

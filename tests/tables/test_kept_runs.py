@@ -14,14 +14,14 @@ from fake_runs import config, make_run, metrics
 from bench.cli import main
 from bench.errors import BenchError
 from bench.io.atomic import write_json
-from bench.tables.named.definitions import DIALECTS, TABLES
+from bench.tables.named.find import table_names
 from bench.tables.named.table import FORMATS, make_table
 from bench.tables.records.file import SUFFIX, read_record_file
 from bench.tables.records.portable import portable_config, portable_text
 from bench.tables.records.shared import in_common, together, without
 
 KEPT = sorted((Path(__file__).parents[2] / "results" / "tables").glob(f"*{SUFFIX}"))
-OF_THE_PAPER = [file for file in KEPT if file.name.removesuffix(SUFFIX) in (*TABLES, DIALECTS)]
+OF_THE_PAPER = [file for file in KEPT if file.name.removesuffix(SUFFIX) in table_names()]
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def runs(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", [*TABLES, DIALECTS])
+@pytest.mark.parametrize("name", table_names())
 def test_a_table_comes_back_to_the_byte_without_the_folders(name: str, runs: Path, tmp_path: Path) -> None:
     first, second = tmp_path / "tables", tmp_path / "again"
     written = make_table(name, [runs]).write(first)
@@ -72,7 +72,7 @@ def test_a_table_comes_back_to_the_byte_without_the_folders(name: str, runs: Pat
 
 
 def test_nothing_of_the_machine_is_kept(runs: Path, tmp_path: Path) -> None:
-    for name in (*TABLES, DIALECTS):
+    for name in table_names():
         for file in make_table(name, [runs]).write(tmp_path / "tables"):
             text = file.read_text()
             assert "secret" not in text, file

@@ -12,7 +12,7 @@ from fake_runs import ALL_TERMS, FRAMES, config, make_mixed_runs, make_run, metr
 
 from bench.cli import main
 from bench.tables.latex import latex_text
-from bench.tables.named.definitions import TABLE_NAMES
+from bench.tables.named.find import table_names
 from bench.tables.named.table import make_table
 
 PDFLATEX = shutil.which("pdflatex")
@@ -37,7 +37,7 @@ def mixed(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("filled", [True, False])
-@pytest.mark.parametrize("name", TABLE_NAMES)
+@pytest.mark.parametrize("name", table_names())
 def test_latex_is_sound(name: str, filled: bool, mixed: Path) -> None:
     r"""ASCII, balanced braces and environments, as many cells a row as columns, nothing special left bare."""
     text = make_table(name, [mixed] if filled else []).text("tex", Path())
@@ -86,7 +86,7 @@ def full(mixed: Path) -> Path:
 
 
 @pytest.mark.skipif(PDFLATEX is None, reason="there is no pdflatex here")
-@pytest.mark.parametrize("name", TABLE_NAMES)
+@pytest.mark.parametrize("name", table_names())
 def test_every_table_compiles_and_fits_its_page(name: str, full: Path, tmp_path: Path) -> None:
     """Empty, sparse and full, one page each; nothing stands out of the text, and no sign is lost."""
     texts = [make_table(name, runs).text("tex", Path()) for runs in ([], [full / "c", full / "b"], [full])]

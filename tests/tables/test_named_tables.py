@@ -328,7 +328,7 @@ def test_the_command_writes_a_folder_of_formats(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["main_kiti"], "There is no folder and no table main_kiti; the tables are main_kitti, .* Did you mean"),
+        (["main_kiti"], "There is no folder and no table main_kiti; the tables are ablation, .* Did you mean"),
         (["ablation", "nowhere"], "There is no folder nowhere"),
         (["ablation", "--out", "table.pdf"], r"--out table\.pdf: the extension must be one of \.md, \.csv, \.tex"),
         (["--format", "md"], "--format goes with a table's name"),

@@ -10,16 +10,21 @@ import numpy as np
 import pytest
 
 from bench.errors import BenchError
-from bench.tables.named.definitions import TABLES
-from bench.tables.named.published import (
-    PublishedValue,
-    published_folder,
-    read_published,
-    read_references,
-    read_sequences,
-)
+from bench.installed_data import published_folder
+from bench.tables.named.find import named_table, table_files
+from bench.tables.named.published import PublishedValue, read_sequences
+from bench.tables.named.published import read_published as read_values
 
+TABLES = {name: named_table(name) for name in table_files()}
 KITTI = ("03", "05", "06", "07", "09", "10")
+
+
+def read_published(table: str) -> list[PublishedValue]:
+    return read_values(published_folder() / f"{table}.csv", table)
+
+
+def read_references(table: str) -> list[PublishedValue]:
+    return [value for file in TABLES[table].references for value in read_values(file, table)]
 
 
 def value_of(table: str, method: str, metric: str, sequence: str) -> float:
@@ -214,9 +219,9 @@ GOOD = "table,dataset,sequence,method,metric,value,unit,status,note,source\n"
 def test_damaged_files_are_named(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(BenchError, match=message):
-        read_published("t", tmp_path)
+        read_values(tmp_path / "t.csv", "t")
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match=r"Can't read .*t\.csv"):
-        read_published("t", tmp_path)
+        read_values(tmp_path / "t.csv", "t")

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bench.errors import BenchError
+from bench.installed_data import published_folder
 from bench.runs.status import read_json
 from bench.tables.named.published import read_published
 from bench.tables.named.table import make_table
@@ -68,7 +69,12 @@ def _measured(kept: Path, folder: Path) -> str:
 def _of_the_paper(method: str, label: str) -> FixedRow:
     """What the paper has of a method on sequence 06."""
     tables = ("main_kitti", "memory", "runtime")
-    values = [value for table in tables for value in read_published(table) if value.method == method]
+    values = [
+        value
+        for table in tables
+        for value in read_published(published_folder() / f"{table}.csv", table)
+        if value.method == method
+    ]
     by_metric = {value.metric: value.value for value in values if value.sequence in ("06", "average")} | {
         value.metric: value.value for value in values if value.sequence == "06"
     }

@@ -13,16 +13,17 @@ from typing import Any
 
 from bench.runs.system_name import system_name
 from bench.tables.collect import Row
-from bench.tables.named.definitions import ATE, IMAGE, Metric
 from bench.tables.named.fill import Statistic, choose_runs, statistic
 from bench.tables.named.grid import MINUS, OURS, Grid, GridCell, Line, heading
 from bench.tables.named.links import relative
+from bench.tables.named.metrics import METRICS as KNOWN
+from bench.tables.named.metrics import Metric
 from bench.tables.named.settings import scored_config, settings_of
 from bench.tables.records.made import made_in_words
 from bench.tables.records.record import RunRecord, is_number
 from bench.tables.render import UNKNOWN, footnotes
 
-METRICS = (*IMAGE, ATE)
+METRICS = tuple(KNOWN[key] for key in ("psnr_db", "ssim", "lpips", "depth_l1_cm", "ate_rmse_m"))
 CSV_COLUMNS = ("of", "by", "n_views", "metric", "unit", "value", "std", "n", "seeds", "difference", "runs")
 _LEGEND = (
     "Line ours: mean ± sample standard deviation over seeds (number of runs), by the runs' protocol, of {views}. Lines "
@@ -55,7 +56,7 @@ class ScoredGroup:
         """A number of ours or of a dialect by seed, of the runs that have it."""
         found = {}
         # Not every evaluator's ATE is a root mean square.
-        key = "ate_m" if metric is ATE and by != OURS else metric.key
+        key = "ate_m" if metric.key == "ate_rmse_m" and by != OURS else metric.key
         for run in self.runs:
             value = run.values.get(key) if by == OURS else run.part("dialects")[by].get(key)
             if value is not None and is_number(value):

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.tables.named.definitions import Metric, NamedTable
+from bench.tables.named.definitions import NamedTable
 from bench.tables.named.foreign import with_foreign_rows
+from bench.tables.named.metrics import Metric
 from bench.tables.named.overrides import row_of
-from bench.tables.named.published import SequenceFacts, read_sequences
+from bench.tables.named.published import SequenceFacts
 from bench.tables.named.settings import (
     Settings,
     common,
@@ -152,12 +153,12 @@ def fill(table: NamedTable, records: Sequence[RunRecord], left_out: int = 0, pro
     ``left_out`` counts runs that are known to belong to no cell and are not among the records.
     """
     table = with_foreign_rows(table, [record.config for record in records])
-    facts = read_sequences(table.dataset)
+    facts = {sequence: table.facts_of(sequence) for sequence in table.sequences}
     found: dict[Place, list[_Found]] = defaultdict(list)
     for record in records:
         place = row_of(table, record.config)
         if place is not None:
-            found[place].append(_Found(record, settings_of(scored_config(record))))
+            found[place].append(_Found(record, _compared_settings(table, record)))
         elif is_of(record, table):
             left_out += 1
     varied = varied_parts(table)
@@ -171,6 +172,12 @@ def fill(table: NamedTable, records: Sequence[RunRecord], left_out: int = 0, pro
         for sequence, runs in of_row.items():
             cells[row.label, sequence] = _fill_cell(runs, facts[sequence], _Preference(varied, ranks, used, protocol))
     return FilledTable(table, facts, cells, left_out, protocol)
+
+
+def _compared_settings(table: NamedTable, record: RunRecord) -> Settings:
+    """The run's settings without those that choose a column."""
+    choosing = {override.partition("=")[0] for overrides in table.sequences.values() for override in overrides}
+    return {key: value for key, value in settings_of(scored_config(record)).items() if key not in choosing}
 
 
 def is_of(record: RunRecord, table: NamedTable) -> bool:

@@ -61,7 +61,7 @@ def as_markdown(document: Document) -> str:
     """Title, table and notes; each of our numbers links to its runs, named by their seeds."""
     grid = document.grid
     left = left_headings(grid)
-    lines = [f"**{grid.title}**", "", _row([*left, *grid.columns])]
+    lines = [f"**{_escaped(grid.title)}**", "", _row([*left, *map(_escaped, grid.columns)])]
     lines.append("|" + "---|" * len(left) + "---:|" * len(grid.columns))
     for block in grid.blocks:
         for line, names in zip(block, left_names(grid, block), strict=True):
@@ -75,7 +75,7 @@ def _row(cells: Sequence[str]) -> str:
 
 
 def _escaped(text: str) -> str:
-    return text.replace("|", "\\|").replace("_", "\\_").replace("<", "&lt;")
+    return text.replace("&", "&amp;").replace("|", "\\|").replace("_", "\\_").replace("<", "&lt;")
 
 
 def _cell(document: Document, cell: GridCell, quiet: bool) -> str:

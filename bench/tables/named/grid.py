@@ -7,9 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bench.tables.named.definitions import MethodRow, Metric
+from bench.errors import require_choice
+from bench.tables.named.definitions import MethodRow, NamedTable
 from bench.tables.named.fill import FilledTable, Statistic
-from bench.tables.named.published import AVERAGE, PublishedValue, read_published, read_references
+from bench.tables.named.metrics import Metric
+from bench.tables.named.published import AVERAGE, PublishedValue, read_published
 from bench.tables.render import UNKNOWN
 from bench.tables.static_camera import NAME as STATIC_CAMERA
 
@@ -71,9 +73,11 @@ def heading(metric: Metric) -> str:
 class PublishedNumbers:
     """The published numbers of a table by method, metric and sequence."""
 
-    def __init__(self, table: str) -> None:
-        self.paper = read_published(table)
-        self.references = read_references(table)
+    def __init__(self, table: NamedTable) -> None:
+        self.paper = [value for file in table.published for value in read_published(file, table.name)]
+        self.references = [value for file in table.references for value in read_published(file, table.name)]
+        for value in self.paper:
+            _require_place(table, value)
         self._by_key = {(v.method, v.metric, v.sequence): v for v in [*self.paper, *self.references]}
 
     def get(self, method: str, metric: str, sequence: str) -> PublishedValue | None:
@@ -83,6 +87,19 @@ class PublishedNumbers:
     def reference_methods(self) -> list[str]:
         """Methods that come from elsewhere, in the file's order."""
         return list(dict.fromkeys(value.method for value in self.references))
+
+
+def _require_place(table: NamedTable, value: PublishedValue) -> None:
+    """Raise ``BenchError`` for a number of the paper's that the table would not show."""
+    metric = next((metric for metric in table.metrics if metric.key == value.metric), None)
+    for what, has, accepted in (
+        ("method", value.method, [row.published for row in table.rows if row.published]),
+        ("metric", value.metric, [metric.key for metric in table.metrics]),
+        ("sequence", value.sequence, [*table.sequences, AVERAGE]),
+        ("dataset", value.dataset, [table.dataset]),
+        ("unit", value.unit, [metric.unit if metric else value.unit]),
+    ):
+        require_choice(f"{table.file}: a published number has no place in the table: {what}", has, accepted)
 
 
 def build_grid(filled: FilledTable, published: PublishedNumbers) -> Grid:
@@ -127,7 +144,7 @@ class _Builder:
     def _lines(self, by: str, method: str, cell: Callable[[_Slot], GridCell]) -> list[Line]:
         table = self._filled.table
         if table.across == "metrics":
-            cells = tuple(cell(_Slot(table.sequences[0], metric)) for metric in table.metrics)
+            cells = tuple(cell(_Slot(next(iter(table.sequences)), metric)) for metric in table.metrics)
             return [Line(by, method, None, cells)]
         columns = (*table.sequences, AVERAGE)
         return [
@@ -151,7 +168,7 @@ class _Builder:
         runs = tuple((run.seed, run.source) for run in cell.shown or cell.without_numbers)
         if not cell.shown:
             return GridCell(CROSS if cell.state == "out of memory" else cell.state, runs=runs)
-        if slot.metric.key == "peak_memory_gb" and any(run.state == "out of memory" for run in cell.shown):
+        if not slot.metric.of_part and any(run.state == "out of memory" for run in cell.shown):
             return GridCell(CROSS, runs=runs)
         found = _statistic_cell(cell.statistic(slot.metric), slot.metric, DAGGER if cell.is_part else "")
         return replace(found, runs=runs)
@@ -190,8 +207,10 @@ def _signed(difference: float, decimals: int) -> str:
 
 
 def _sequence_heading(filled: FilledTable, sequence: str) -> str:
-    """As in the paper, with km and frames: ``03 (0.56/801)``."""
+    """As in the paper, with km and frames where they are known: ``03 (0.56/801)``."""
     facts = filled.facts[sequence]
+    if not facts.frames:
+        return sequence
     frames = f"{facts.frames / 1000:g}k" if facts.frames_rounded_to > 1 else str(facts.frames)
     return f"{sequence} ({facts.length_km:g}/{frames})"
 

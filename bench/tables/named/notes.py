@@ -158,7 +158,7 @@ def _about_published(table: NamedTable, published: PublishedNumbers, grid: Grid)
 
 
 def _where(value: PublishedValue) -> str:
-    parts = [f"sequence {value.sequence}" if value.sequence else "KITTI", *([value.note] if value.note else [])]
+    parts = [f"sequence {value.sequence}" if value.sequence else value.dataset, *([value.note] if value.note else [])]
     return ", ".join(parts)
 
 

@@ -36,7 +36,9 @@ def row_of(table: NamedTable, config: Mapping[str, Any]) -> tuple[str, str] | No
     """
     if not holds(config, f"dataset={table.dataset}"):
         return None
-    sequence = next((name for name in table.sequences if holds(config, f"dataset.sequence={name}")), None)
+    sequence = next(
+        (name for name, chosen in table.sequences.items() if all(holds(config, each) for each in chosen)), None
+    )
     row = next((row for row in table.rows if belongs(row, config)), None)
     return None if sequence is None or row is None else (row.label, sequence)
 

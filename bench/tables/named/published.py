@@ -7,13 +7,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-import bench
 from bench.errors import BenchError, require_choice
+from bench.installed_data import published_folder
 
 STATUSES = ("ok", "dagger", "cross", "not reported")
 AVERAGE = "average"
-REFERENCES = "references"
-"""The file with what comes from elsewhere than the paper: a static camera, other systems' own papers."""
+SEQUENCES_FILE = "sequences.csv"
 
 
 @dataclass(frozen=True)
@@ -47,44 +46,35 @@ _LEAST_WITH_POSE = {"kitti360": 0.8}
 
 @dataclass(frozen=True)
 class SequenceFacts:
-    """Length in km and number of frames of a sequence as the paper has them; frames may be rounded.
+    """Length in km and number of frames of a sequence as the paper has them, 0 where not known; frames may be rounded.
 
     ``withheld`` says why nobody can run it, or is empty.
     """
 
     dataset: str
     sequence: str
-    length_km: float
-    frames: int
-    frames_rounded_to: int
-    withheld: str
+    length_km: float = 0.0
+    frames: int = 0
+    frames_rounded_to: int = 1
+    withheld: str = ""
 
     def is_part(self, frames: int) -> bool:
         """Whether so many frames are not the whole sequence."""
         return frames < _LEAST_WITH_POSE.get(self.dataset, 1.0) * (self.frames - self.frames_rounded_to / 2)
 
 
-def published_folder() -> Path:
-    """Where the CSV files are: inside the installed package, else in the checkout."""
-    package = Path(bench.__file__).parent
-    installed = package / "published"
-    return installed if installed.is_dir() else package.parent / "results" / "published"
-
-
-def read_published(table: str, folder: Path | None = None) -> list[PublishedValue]:
-    """The paper's numbers of a table, in the paper's order; raises ``BenchError`` for a missing or damaged file."""
-    return _read_values((folder or published_folder()) / f"{table}.csv")
-
-
-def read_references(table: str, folder: Path | None = None) -> list[PublishedValue]:
-    """Numbers from other sources that belong beside a table's; raises ``BenchError`` as ``read_published`` does."""
-    values = _read_values((folder or published_folder()) / f"{REFERENCES}.csv")
-    return [value for value in values if value.table == table]
+def read_published(file: Path, table: str) -> list[PublishedValue]:
+    """The numbers of a table in a CSV file, in its order; raises ``BenchError`` for a missing or damaged file, and for
+    one without any number of this table."""
+    values = [value for value in _read_values(file) if value.table == table]
+    if not values:
+        raise BenchError(f"{file} has no number of the table {table}. Write {table} into its column 'table'.")
+    return values
 
 
 def read_sequences(dataset: str, folder: Path | None = None) -> dict[str, SequenceFacts]:
     """Facts by sequence name; raises ``BenchError`` as ``read_published`` does."""
-    path = (folder or published_folder()) / "sequences.csv"
+    path = (folder or published_folder()) / SEQUENCES_FILE
     found = {}
     for line, row in _rows(path, [field.name for field in fields(SequenceFacts)]):
         try:
@@ -131,7 +121,7 @@ def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, s
     reader = csv.DictReader(text.splitlines())
     lacking = [column for column in columns if column not in (reader.fieldnames or [])]
     if lacking:
-        raise BenchError(f"{path} lacks the column {lacking[0]!r}. Restore it from the repository.")
+        raise BenchError(f"{path} lacks the column {lacking[0]!r}; it needs {', '.join(columns)}.")
     for row in reader:
         if None in row or None in row.values():
             raise BenchError(f"{path}, line {reader.line_num} has not {len(columns)} values. Quote values with commas.")

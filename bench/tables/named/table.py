@@ -11,9 +11,10 @@ from rich.console import Console
 
 from bench.errors import BenchError, require_choice
 from bench.io.atomic import write_text
-from bench.tables.named.definitions import DIALECTS, named_table
+from bench.tables.named.definitions import NamedTable
 from bench.tables.named.dialects import dialect_csv, dialect_grid, dialect_notes, scored_groups
 from bench.tables.named.fill import fill, is_of
+from bench.tables.named.find import DIALECTS, named_table
 from bench.tables.named.foreign import with_foreign_rows
 from bench.tables.named.formats import as_markdown, print_grid
 from bench.tables.named.grid import Grid, PublishedNumbers, build_grid
@@ -40,6 +41,8 @@ class PaperTable:
     notes: list[str]
     csv: Callable[[Path], str]
     runs: KeptRuns
+    table: NamedTable | None
+    """None: the table of dialects."""
 
     def text(self, form: str, folder: Path) -> str:
         """The table as "md", "csv", "tex" or "html"; its links to runs are relative to ``folder``."""
@@ -60,7 +63,7 @@ class PaperTable:
         name = self.grid.name
         record = folder / f"{name}{SUFFIX}"
         texts = {record: record_text(self.runs)}
-        linked = _table_of(name, lead_to(self.runs, record))
+        linked = _table_of(self.table, lead_to(self.runs, record))
         texts |= {folder / f"{name}.{form}": linked.text(form, folder) for form in forms}
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -73,43 +76,42 @@ class PaperTable:
         return list(texts)
 
 
-def make_table(name: str, runs: Sequence[Path], views: str | None = None) -> PaperTable:
+def make_table(name: str, runs: Sequence[Path], views: str | None = None, folders: Sequence[str] = ()) -> PaperTable:
     """The table ``name`` with the runs in ``runs`` (default ``results/runs``), run folders or record files.
 
     The same runs give the same table. ``views`` says whose image and depth metrics are shown: "left", "heldout" or
-    "right"; None: those of a record file, else "left". Raises ``BenchError`` for an unknown name, and for a path that
-    holds no run.
+    "right"; None: those of a record file, else "left". ``folders`` are the user's, with tables of theirs. Raises
+    ``BenchError`` for an unknown name, and for a path that holds no run.
     """
-    if name != DIALECTS:
-        named_table(name)
+    table = None if name == DIALECTS else named_table(name, folders)
     if views is not None:
         require_choice("--views", views, VIEW_GROUPS)
-    return _table_of(name, _of_table(name, read_runs(runs, views)))
+    return _table_of(table, _of_table(table, read_runs(runs, views)))
 
 
-def _of_table(name: str, found: KeptRuns) -> KeptRuns:
+def _of_table(table: NamedTable | None, found: KeptRuns) -> KeptRuns:
     """The runs that have a place in the table; of the others, how many there are."""
-    if name == DIALECTS:
+    if table is None:
         members = [run for run in found.runs if run.part("dialects")]
         strangers = len(found.runs) - len(members)
     else:
-        table = with_foreign_rows(named_table(name), [run.config for run in found.runs])
+        table = with_foreign_rows(table, [run.config for run in found.runs])
         members = [run for run in found.runs if row_of(table, run.config) is not None]
         strangers = sum(is_of(run, table) for run in found.runs) - len(members)
     # Another table's record counted those that had no place there.
+    name = DIALECTS if table is None else table.name
     known = found.others if found.table == name else 0
     return replace(found, table=name, runs=tuple(members), others=known + strangers)
 
 
-def _table_of(name: str, found: KeptRuns) -> PaperTable:
-    if name == DIALECTS:
+def _table_of(table: NamedTable | None, found: KeptRuns) -> PaperTable:
+    if table is None:
         groups = scored_groups(found.runs)
         about = dialect_notes(groups, found.others, found.views, found.problems)
-        return PaperTable(dialect_grid(name, groups), about, partial(dialect_csv, groups), found)
-    table = named_table(name)
+        return PaperTable(dialect_grid(DIALECTS, groups), about, partial(dialect_csv, groups), found, None)
     # Views that the paper's protocol does not have are chosen together with another protocol.
     filled = fill(table, found.runs, found.others, table.protocol if found.views == "left" else "")
-    published = PublishedNumbers(name)
+    published = PublishedNumbers(table)
     grid = build_grid(filled, published)
     about = notes(filled, published, grid, found.views, found.problems)
-    return PaperTable(grid, about, partial(as_csv, filled, published), found)
+    return PaperTable(grid, about, partial(as_csv, filled, published), found, table)

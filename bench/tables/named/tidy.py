@@ -6,10 +6,11 @@ import csv
 import io
 from pathlib import Path
 
-from bench.tables.named.definitions import MethodRow, Metric
+from bench.tables.named.definitions import MethodRow
 from bench.tables.named.fill import FilledTable, Statistic
 from bench.tables.named.grid import OURS, PAPER, PublishedNumbers
 from bench.tables.named.links import relative
+from bench.tables.named.metrics import Metric
 from bench.tables.named.published import AVERAGE, PublishedValue
 
 COLUMNS = (
@@ -91,7 +92,7 @@ def _our_row(
             "seeds": " ".join(str(run.seed) for run in runs),
             "status": "cross" if state == "out of memory" else state if found or not cell.shown else "not known",
             "frames": str(cell.frames) if cell.shown else "",
-            "frames_of_sequence": str(filled.facts[sequence].frames),
+            "frames_of_sequence": str(filled.facts[sequence].frames or ""),
             "protocol": " ".join(sorted({str(run.protocol.get("name", "")) for run in cell.shown})),
             "runs": " ".join(relative(run.source, folder) for run in runs),
         }
