@@ -104,7 +104,7 @@ def test_backward_without_its_forward_is_refused() -> None:
 
 def test_the_build_for_every_machine_gives_the_same_images() -> None:
     """The rasterizer's own tests with the kernels that need no AVX2; they are chosen at load, hence the process."""
-    tests = Path(__file__).parent.parent / "rendering" / "test_cpu_rasterizer.py"
+    tests = Path(__file__).parent.parent / "rasterizers" / "test_cpu_rasterizer.py"
     done = subprocess.run(
         [sys.executable, "-m", "pytest", str(tests)],
         env=os.environ | {"BGS_KERNELS": "baseline"},

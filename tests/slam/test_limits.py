@@ -81,7 +81,7 @@ def test_outside_the_main_thread_the_next_check_tells() -> None:
 
 def test_a_peers_memory_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     """A process of a plugin's own that has answered once; its 0.2 GB are above the limit, ours alone are not."""
-    from bench.peers import memory
+    from bench import process_memory as memory
 
     code = "import sys; x = bytearray(200_000_000); print('ready', flush=True); sys.stdin.read()"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as peer:

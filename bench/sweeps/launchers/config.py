@@ -21,6 +21,7 @@ from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+import bench
 from bench.errors import BenchError, did_you_mean
 
 _CONFIG = "sweep"
@@ -54,7 +55,7 @@ def compose_launcher(name: str, settings: Sequence[str], at_once: int, folder: P
     quoted = str(folder.absolute()).replace("\\", "\\\\").replace("'", "\\'")
     fixed = [f"hydra/launcher=bgs_{name}", f"at_once={at_once}", f"hydra.sweep.dir='{quoted}'"]
     GlobalHydra.instance().clear()
-    conf = Path(__file__).parent.parent
+    conf = Path(bench.__file__).parent
     conf = conf / "conf" if (conf / "conf").is_dir() else conf.parent / "conf"
     with initialize_config_dir(str(conf.resolve()), version_base="1.3"):
         hydra = GlobalHydra.instance().hydra
