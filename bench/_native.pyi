@@ -1,6 +1,11 @@
 # Types of the C++ core (bench/native/module.cpp): contiguous CPU tensors or arrays, float32 unless said.
 from typing import Any
 
+FIRST_PLANE: dict[str, int]
+THRESHOLDS: dict[str, float]
+MAX_DEGREE: int
+SH_C0: float
+
 def instruction_set() -> str: ...
 def threads() -> int: ...
 def set_threads(threads: int) -> None: ...

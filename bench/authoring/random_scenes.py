@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
-from bench.gaussians.parameters import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, planes_from
+from bench.gaussians.parameters import planes_from
+from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
 from bench.types import PinholeView
 
 GROUPS = {

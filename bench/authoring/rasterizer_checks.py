@@ -15,7 +15,8 @@ from bench import registry
 from bench.authoring.random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, relative_l2, render_and_back
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
-from bench.gaussians.parameters import PLANES, planes_from
+from bench.gaussians.parameters import planes_from
+from bench.gaussians.schema import planes_of
 from bench.types import PinholeView
 
 _SCENES = (SceneSpec(1, 150, 70, 41, 1.2, (0.05, 0.5)), SceneSpec(4, 150, 33, 17, 6.0, (0.6, 0.99)))
@@ -146,10 +147,10 @@ def _gradients(subject: Subject) -> str:
 
 def _nothing_to_see(subject: Subject) -> str:
     _, view = random_scene(_SCENES[1])
-    behind = torch.zeros(PLANES, 1)
+    behind = torch.zeros(planes_of(0), 1)
     behind[:3, 0] = torch.from_numpy(view.T_world_cam @ [0.1, 0.1, -3.0, 1.0])[:3].float()
     behind[6] = 1.0
-    for planes in (torch.zeros(PLANES, 0), behind):
+    for planes in (torch.zeros(planes_of(0), 0), behind):
         rendered, grads = subject.both_ways(planes, view)
         largest = max(float(getattr(rendered, name).abs().max()) for name in _IMAGES)
         if largest > 0 or float(grads.planes.abs().sum()) > 0:

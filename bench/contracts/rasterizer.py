@@ -28,7 +28,7 @@ class Rendered:
 
 @dataclass
 class Gradients:
-    """Gradients of a scalar loss: ``planes`` (14, N) like the parameters, ``touched`` (N,) bool = visible in this view,
+    """Gradients of a scalar loss: ``planes`` (P, N) like the parameters, ``touched`` (N,) bool = visible in this view,
     ``twist`` (6,) float64 of the left perturbation p_cam -> exp(twist) p_cam (translation, rotation), or None."""
 
     planes: Tensor
@@ -45,7 +45,7 @@ class Rasterizer(ABC):
 
     @abstractmethod
     def render(self, planes: Tensor, view: PinholeView, differentiable: bool = True) -> Rendered:
-        """Render (14, N) parameters; ``differentiable=False`` where ``backward`` will not be called."""
+        """Render (P, N) parameters; ``differentiable=False`` where ``backward`` will not be called."""
 
     @abstractmethod
     def backward(

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bench.gaussians.optimizer import MapOptimizer
-from bench.gaussians.parameters import MEAN, QUATERNION
+from bench.gaussians.schema import MEAN, QUATERNION
 from bench.geometry import se3
 from bench.types import Float, Trajectory
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from bench.contracts.rasterizer import Gradients
-from bench.gaussians.parameters import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, PLANES, QUATERNION
+from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, planes_of
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
 
@@ -27,7 +27,7 @@ class LearningRates:
 
     def per_plane(self) -> list[float]:
         """One rate a plane, 14 in all."""
-        rates = [0.0] * PLANES
+        rates = [0.0] * planes_of(0)
         rates[MEAN] = [self.position] * 3
         rates[LOG_SCALE] = [self.scale] * 3
         rates[QUATERNION] = [self.rotation] * 4
@@ -41,13 +41,13 @@ class MapOptimizer:
 
     def __init__(self, rates: LearningRates, device: torch.device) -> None:
         self._rates = rates.per_plane()
-        self._first = torch.zeros(PLANES, 0, device=device)
-        self._second = torch.zeros(PLANES, 0, device=device)
+        self._first = torch.zeros(planes_of(0), 0, device=device)
+        self._second = torch.zeros(planes_of(0), 0, device=device)
         self._step = 0
 
     def grow(self, count: int) -> None:
         """Make room for ``count`` new Gaussians, their moments zero."""
-        new = self._first.new_zeros(PLANES, count)
+        new = self._first.new_zeros(planes_of(0), count)
         self._first = torch.cat([self._first, new], 1)
         self._second = torch.cat([self._second, new], 1)
 

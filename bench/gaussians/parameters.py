@@ -1,8 +1,4 @@
-"""The parameters of a map of 3D Gaussians, and their names.
-
-All parameters live in one float32 tensor of shape (14, N), one row ("plane") a scalar parameter: so eight Gaussians
-load as one vector on the CPU, and one fused optimizer step updates everything.
-"""
+"""A map of Gaussians in readable units: to the tensor of planes (``bench/gaussians/schema.py``) and back."""
 
 from __future__ import annotations
 
@@ -11,19 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-MEAN = slice(0, 3)
-LOG_SCALE = slice(3, 6)
-QUATERNION = slice(6, 10)
-OPACITY_LOGIT = 10
-COLOR = slice(11, 14)
-PLANES = 14
-
-SH_C0 = 0.28209479177387814
-"""The constant spherical harmonic: colour = 0.5 + SH_C0 * coefficient, clamped at zero (as in 3DGS)."""
+from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, SH_C0
 
 
 def planes_from(means: Tensor, scales: Tensor, quaternions: Tensor, opacities: Tensor, colors: Tensor) -> Tensor:
-    """Parameters in readable units to the (14, N) tensor.
+    """Parameters in readable units to the (P, N) tensor of degree 0.
 
     ``means`` (N, 3) metres in the world; ``scales`` (N, 3) standard deviations in metres; ``quaternions`` (N, 4) w,
     x, y, z, any length but zero; ``opacities`` (N,) in (0, 1); ``colors`` (N, 3) RGB in [0, 1].
@@ -41,7 +29,7 @@ def planes_from(means: Tensor, scales: Tensor, quaternions: Tensor, opacities: T
 
 @dataclass
 class NamedParameters:
-    """Readable views of a (14, N) tensor, activations applied: what other renderers and file formats expect."""
+    """Readable views of a (P, N) tensor, activations applied: what other renderers and file formats expect."""
 
     planes: Tensor
 
@@ -67,5 +55,5 @@ class NamedParameters:
 
     @property
     def colors(self) -> Tensor:
-        """(N, 3) RGB, at least 0."""
+        """(N, 3) RGB of the constant harmonic alone, at least 0."""
         return (0.5 + SH_C0 * self.planes[COLOR].T).clamp_min(0.0)

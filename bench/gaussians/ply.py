@@ -10,7 +10,7 @@ from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from bench.errors import BenchError
-from bench.gaussians.parameters import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
+from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
 
 _COLUMNS = (
     *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),

@@ -52,12 +52,12 @@ const KernelTable& kernels() {
     return chosen;
 }
 
-void Workspace::forward(const float* planes, size_t stride, int count, const View& view, float* color, float* depth, float* alpha) {
-    view_ = view, count_ = count, color_ = color, depth_ = depth, alpha_ = alpha;
+void Workspace::forward(const float* planes, size_t stride, int count, int degree, const View& view, float* color, float* depth, float* alpha) {
+    view_ = view, count_ = count, degree_ = degree, color_ = color, depth_ = depth, alpha_ = alpha;
     tiles_x_ = (view.width + TILE_W - 1) / TILE_W, tiles_y_ = (view.height + TILE_H - 1) / TILE_H;
     const int chunks = (count + CHUNK - 1) / CHUNK;
     const KernelTable& k = kernels();
-    const ProjectArgs project{planes, stride, count, view, records_.reserve(static_cast<size_t>(count)), boxes_.reserve(static_cast<size_t>(count)), place_.reserve(static_cast<size_t>(count)),
+    const ProjectArgs project{planes, stride, count, degree, view, records_.reserve(static_cast<size_t>(count)), boxes_.reserve(static_cast<size_t>(count)), place_.reserve(static_cast<size_t>(count)),
                               chunk_counts_.reserve(static_cast<size_t>(chunks) + 1), first_slot_.reserve(static_cast<size_t>(chunks) + 1)};
     pool().run(chunks, [&](int chunk) { k.project(project, chunk); });
     sort_by_depth(chunks);
@@ -172,7 +172,7 @@ void Workspace::backward(const float* planes, size_t stride, const float* grad_c
     pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_backward(raster, tile); });
     const int chunks = (count_ + CHUNK - 1) / CHUNK;
     double* sums = pose == nullptr ? nullptr : pose_.reserve(static_cast<size_t>(chunks) * 6);
-    const ProjectBackwardArgs project{planes, stride, count_, view_, records_.data(), place_.data(), slots, first_slot_.data(), grads, grads_stride, touched, sums};
+    const ProjectBackwardArgs project{planes, stride, count_, degree_, view_, records_.data(), place_.data(), slots, first_slot_.data(), grads, grads_stride, touched, sums};
     pool().run(chunks, [&](int chunk) { k.project_backward(project, chunk); });
     if (pose == nullptr) return;
     std::fill(pose, pose + 6, 0.0);

@@ -40,11 +40,12 @@ const KernelTable& kernels();
 // One render: what the forward pass leaves for the backward pass.
 class Workspace {
 public:
-    void forward(const float* planes, size_t stride, int count, const View& view, float* color, float* depth, float* alpha);
+    void forward(const float* planes, size_t stride, int count, int degree, const View& view, float* color, float* depth, float* alpha);
     // `pose` (6 values) may be null; null image gradients count as zero.
     void backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
                   float* grads, size_t grads_stride, bool* touched, double* pose);
     int count() const { return count_; }
+    int degree() const { return degree_; }
     int visible() const { return visible_; }
     int width() const { return view_.width; }
     int height() const { return view_.height; }
@@ -55,7 +56,7 @@ private:
     void bin();
 
     View view_{};
-    int count_ = 0, visible_ = 0, tiles_x_ = 0, tiles_y_ = 0;
+    int count_ = 0, degree_ = 0, visible_ = 0, tiles_x_ = 0, tiles_y_ = 0;
     size_t slots_used_ = 0;
     float *color_ = nullptr, *depth_ = nullptr, *alpha_ = nullptr;  // the caller keeps them alive until backward
     Buffer<Record> records_;

@@ -1,23 +1,16 @@
 // What the kernel file offers, compiled once for each instruction set, and the plain data that it works on.
 //
 // Conventions: pixel (x, y) has its centre at integer coordinates (OpenCV); p_cam = R_cam_world p_world + t.
-// A Gaussian's parameters are rows ("planes") of one float32 array, so that eight Gaussians load as one vector.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 
+#include "schema.h"
+
 namespace bgs {
 
-enum Plane { MEAN = 0, LOG_SCALE = 3, QUATERNION = 6, OPACITY_LOGIT = 10, COLOR = 11, PLANES = 14 };
-
-constexpr float SH_C0 = 0.28209479177387814f;   // colour = 0.5 + SH_C0 * c, clamped at 0 (degree 0)
-constexpr float NEAR = 0.2f;                    // metres; nearer Gaussians are skipped
-constexpr float BLUR = 0.3f;                    // px^2, added to the projected covariance (EWA low-pass)
-constexpr float ALPHA_MIN = 1.0f / 255.0f;
-constexpr float LOG2_255 = 7.99435344f;          // alpha >= ALPHA_MIN where log2(alpha) >= -LOG2_255
-constexpr float ALPHA_MAX = 0.999f;
-constexpr float T_MIN = 1e-4f;                  // a pixel stops before transmittance falls to this
+constexpr float LOG2_255 = 7.99435344f;         // alpha >= ALPHA_MIN where log2(alpha) >= -LOG2_255
 constexpr int TILE_W = 32, TILE_H = 16;
 constexpr int SLOT = 10;                        // sums a Gaussian collects in a tile: 6 moments, 3 colours, depth
 constexpr int GEOMETRY_BAND = 32;               // rows of one task of a geometric loss term
@@ -53,7 +46,7 @@ static_assert(sizeof(Record) == 64, "a record is one cache line");
 struct ProjectArgs {
     const float* planes;
     size_t stride;
-    int count;
+    int count, degree;       // of the spherical harmonics
     View view;
     Record* records;         // chunk k writes from k * CHUNK on; a record's place never changes
     TileBox* boxes;          // of each record: binning walks them out of order, and these fit the cache
@@ -81,7 +74,7 @@ struct RasterBackwardArgs {
 struct ProjectBackwardArgs {
     const float* planes;
     size_t stride;
-    int count;
+    int count, degree;
     View view;
     const Record* records;
     const int32_t* place;  // of each Gaussian's record, -1 if not visible
@@ -142,10 +135,10 @@ struct AdamArgs {
     float *params, *first, *second;
     const float* grads;
     size_t stride, grads_stride;
-    int count;
+    int count, planes;
     const bool* touched;   // only these are updated; null = all
     const float* position_rate;  // per Gaussian factor on the rate of its position; null = 1
-    float rates[PLANES];
+    const float* rates;    // of each plane
     float beta1, beta2, epsilon, correction1, correction2;
 };
 

@@ -48,8 +48,9 @@ bgs::View view_of(const Matrix& T_cam_world, float fx, float fy, float cx, float
         v.t[r] = static_cast<float>(T_cam_world(r, 3));
     }
     v.fx = fx, v.fy = fy, v.cx = cx, v.cy = cy, v.width = width, v.height = height;
-    // gsplat's limits: 15 % of the image beyond its borders (there pixel centres are at .5).
-    const float margin_x = 0.15f * static_cast<float>(width) / fx, margin_y = 0.15f * static_cast<float>(height) / fy;
+    // As in gsplat, where pixel centres are at .5.
+    constexpr auto margin = static_cast<float>(bgs::JACOBIAN_MARGIN);
+    const float margin_x = margin * static_cast<float>(width) / fx, margin_y = margin * static_cast<float>(height) / fy;
     v.x_over_z_min = -((cx + 0.5f) / fx + margin_x), v.x_over_z_max = (static_cast<float>(width) - cx - 0.5f) / fx + margin_x;
     v.y_over_z_min = -((cy + 0.5f) / fy + margin_y), v.y_over_z_max = (static_cast<float>(height) - cy - 0.5f) / fy + margin_y;
     return v;
@@ -57,21 +58,21 @@ bgs::View view_of(const Matrix& T_cam_world, float fx, float fy, float cx, float
 
 void forward(bgs::Workspace& ws, const Array2& planes, const Matrix& T_cam_world, float fx, float fy, float cx, float cy, Array3& color,
              Array2& depth, Array2& alpha) {
-    require(planes.shape(0) == bgs::PLANES, "planes must have shape (14, N)");
+    require(planes.shape(0) == bgs::planes_of(0), "planes must have shape (14, N)");
     const int height = static_cast<int>(depth.shape(0)), width = static_cast<int>(depth.shape(1));
     check_image(color, 3, height, width, "color must have shape (3, H, W) for a depth of shape (H, W)");
     check_map(alpha, height, width, "alpha must have the shape of depth");
     const bgs::View view = view_of(T_cam_world, fx, fy, cx, cy, width, height);
     const int count = static_cast<int>(planes.shape(1));
     nb::gil_scoped_release release;
-    ws.forward(planes.data(), planes.shape(1), count, view, color.data(), depth.data(), alpha.data());
+    ws.forward(planes.data(), planes.shape(1), count, 0, view, color.data(), depth.data(), alpha.data());
 }
 
 std::vector<double> backward(bgs::Workspace& ws, const Array2& planes, const std::optional<Array3>& grad_color,
                              const std::optional<Array2>& grad_depth, const std::optional<Array2>& grad_alpha, Array2& grads, Flags& touched,
                              bool pose) {
-    require(planes.shape(0) == bgs::PLANES && static_cast<int>(planes.shape(1)) == ws.count(), "planes are not those of the forward pass");
-    require(grads.shape(0) == bgs::PLANES && grads.shape(1) == planes.shape(1), "grads must have the shape of planes");
+    require(static_cast<int>(planes.shape(0)) == bgs::planes_of(ws.degree()) && static_cast<int>(planes.shape(1)) == ws.count(), "planes are not those of the forward pass");
+    require(grads.shape(0) == planes.shape(0) && grads.shape(1) == planes.shape(1), "grads must have the shape of planes");
     require(touched.shape(0) == planes.shape(1), "touched must have shape (N,)");
     if (grad_color) check_image(*grad_color, 3, ws.height(), ws.width(), "grad_color must have shape (3, H, W)");
     if (grad_depth) check_map(*grad_depth, ws.height(), ws.width(), "grad_depth must have shape (H, W)");
@@ -109,10 +110,10 @@ void target_statistics(const Array3& target, Array3& mean, Array3& variance) {
 void adam_step(Array2& params, Array2& first, Array2& second, const Array2& grads, std::optional<Array1> position_rate,
                const std::vector<float>& rates, float beta1, float beta2, float epsilon, int step,
                std::optional<Flags> touched) {
-    const size_t n = params.shape(1);
+    const size_t planes = params.shape(0), n = params.shape(1);
     for (const Array2* a : {static_cast<const Array2*>(&params), static_cast<const Array2*>(&first), static_cast<const Array2*>(&second), &grads})
-        require(a->shape(0) == bgs::PLANES && a->shape(1) == n, "params, first, second and grads must all have shape (14, N)");
-    require(rates.size() == bgs::PLANES, "rates must have 14 entries");
+        require(a->shape(0) == planes && a->shape(1) == n, "params, first, second and grads must all have the same shape");
+    require(rates.size() == planes, "rates must have one entry per plane");
     require(!position_rate || position_rate->shape(0) == n, "position_rate must have shape (N,)");
     require(!touched || touched->shape(0) == n, "touched must have shape (N,)");
     bgs::AdamArgs args{};
@@ -120,7 +121,7 @@ void adam_step(Array2& params, Array2& first, Array2& second, const Array2& grad
     args.stride = n, args.grads_stride = n, args.count = static_cast<int>(n);
     args.touched = touched ? touched->data() : nullptr;
     args.position_rate = position_rate ? position_rate->data() : nullptr;
-    for (int k = 0; k < bgs::PLANES; ++k) args.rates[k] = rates[static_cast<size_t>(k)];
+    args.rates = rates.data(), args.planes = static_cast<int>(planes);
     args.beta1 = beta1, args.beta2 = beta2, args.epsilon = epsilon;
     args.correction1 = static_cast<float>(1.0 / (1.0 - std::pow(static_cast<double>(beta1), step)));
     args.correction2 = static_cast<float>(1.0 / (1.0 - std::pow(static_cast<double>(beta2), step)));
@@ -181,11 +182,26 @@ double geo_loss(const Array2& depth, const std::optional<Array2>& alpha, const A
     return bgs::geo_loss(args);
 }
 
+void bind_schema(nb::module_& m) {
+    nb::dict planes, thresholds;
+    for (const auto& [name, first] : {std::pair("mean", bgs::MEAN), {"log_scale", bgs::LOG_SCALE}, {"quaternion", bgs::QUATERNION}, {"opacity_logit", bgs::OPACITY_LOGIT},
+                                      {"color", bgs::COLOR}, {"harmonics", bgs::HARMONICS}})
+        planes[name] = static_cast<int>(first);
+    for (const auto& [name, value] : {std::pair("near_m", bgs::NEAR_M), {"low_pass_px2", bgs::LOW_PASS_PX2}, {"alpha_min", bgs::ALPHA_MIN}, {"alpha_max", bgs::ALPHA_MAX},
+                                      {"transmittance_end", bgs::TRANSMITTANCE_END}, {"jacobian_margin", bgs::JACOBIAN_MARGIN}})
+        thresholds[name] = value;
+    m.attr("FIRST_PLANE") = planes;
+    m.attr("THRESHOLDS") = thresholds;
+    m.attr("MAX_DEGREE") = bgs::MAX_DEGREE;
+    m.attr("SH_C0") = bgs::SH_C0;
+}
+
 }  // namespace
 
 NB_MODULE(_native, m) {
     m.doc() = "The C++ core of the CPU rasterizer. Use it through plugins/rasterizers/cpu.py.";
     m.def("instruction_set", [] { return std::string(bgs::kernels().name); }, "Which build of the kernels runs on this machine.");
+    bind_schema(m);
     m.def("threads", [] { return bgs::pool().threads(); });
     m.def("set_threads", [](int threads) {
         require(threads >= 1 && threads <= 1024, "threads must be between 1 and 1024");

@@ -20,8 +20,8 @@ from bench.errors import BenchError
 from bench.gaussians.anchors import KeyframeAnchors
 from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
-from bench.gaussians.parameters import OPACITY_LOGIT, PLANES
 from bench.gaussians.ply import write_ply
+from bench.gaussians.schema import OPACITY_LOGIT, planes_of
 from bench.gaussians.seeding import SeedConfig, seed_gaussians
 from bench.registry import PluginConfig, register
 from bench.supervision.target import Target, target_of
@@ -104,7 +104,7 @@ class GaussianMapper(Mapper):
         device = rasterizer.device
         rates = LearningRates(c.position_rate, c.color_rate, c.opacity_rate, c.scale_rate, c.rotation_rate)
         self._optimizer = MapOptimizer(rates, device)
-        self._planes = torch.zeros(PLANES, 0, device=device)
+        self._planes = torch.zeros(planes_of(0), 0, device=device)
         self._birth_depth = torch.zeros(0, device=device)
         self._anchors = KeyframeAnchors(c.follow_corrections_m, c.follow_corrections_deg)
         self._keyframes: dict[int, Keyframe] = {}

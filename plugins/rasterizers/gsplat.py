@@ -9,12 +9,9 @@ from torch import Tensor
 
 from bench.gaussians.autograd import AutogradRasterizer, perturbed
 from bench.gaussians.parameters import NamedParameters
+from bench.gaussians.schema import THRESHOLDS
 from bench.registry import PluginConfig, register
 from bench.types import PinholeView
-
-# gsplat's own alpha limits (1/255 and 0.999) and its end of a pixel (transmittance 1e-4) are constants of its kernels.
-NEAR_M = 0.2
-LOW_PASS_PX2 = 0.3
 
 
 @register("rasterizer", "gsplat")
@@ -22,7 +19,7 @@ class GsplatRasterizer(AutogradRasterizer):
     """gsplat 1.5.3 on CUDA, for large maps on a GPU.
 
     Written from gsplat's documented interface; it has not been run yet, because no GPU was at hand. The test
-    ``tests/rendering/test_gsplat_rasterizer.py`` compares it with ``cpu`` and ``reference`` where there is one.
+    ``tests/rasterizers/test_gsplat_rasterizer.py`` compares it with ``cpu`` and ``reference`` where there is one.
     """
 
     def __init__(self, config: PluginConfig) -> None:
@@ -60,8 +57,9 @@ class GsplatRasterizer(AutogradRasterizer):
             Ks=K[None],
             width=view.width,
             height=view.height,
-            near_plane=NEAR_M,
-            eps2d=LOW_PASS_PX2,
+            # The other thresholds are constants of gsplat's kernels.
+            near_plane=THRESHOLDS.near_m,
+            eps2d=THRESHOLDS.low_pass_px2,
             sh_degree=None,
             packed=False,
             render_mode="RGB+D",

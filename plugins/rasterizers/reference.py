@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from bench.gaussians.autograd import AutogradRasterizer, perturbed
-from bench.gaussians.parameters import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, SH_C0
+from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, SH_C0, THRESHOLDS
 from bench.registry import PluginConfig, register
 from bench.types import PinholeView
 
@@ -24,7 +24,7 @@ class ReferenceRasterizer(AutogradRasterizer):
         R, t = perturbed(torch.as_tensor(view.T_cam_world, dtype=planes.dtype), twist)
         p_cam = planes[MEAN].T @ R.T + t
         z = p_cam[:, 2]
-        near = z >= 0.2
+        near = z >= THRESHOLDS.near_m
         safe_z = torch.where(near, z, torch.ones_like(z))
         center = torch.stack([view.fx * p_cam[:, 0] / safe_z + view.cx, view.fy * p_cam[:, 1] / safe_z + view.cy], 1)
         covariance = self._image_covariance(planes, R, p_cam, safe_z, view)
@@ -38,11 +38,11 @@ class ReferenceRasterizer(AutogradRasterizer):
         d = pixels[None] - center[order][:, None]
         power = -0.5 * torch.einsum("npi,nij,npj->np", d, conic[order], d)
         raw = opacity[order][:, None] * torch.exp(power)
-        shown = (raw >= 1.0 / 255.0) & near[order][:, None]
-        alpha = torch.where(shown, raw.clamp_max(0.999), torch.zeros_like(raw))
+        shown = (raw >= THRESHOLDS.alpha_min) & near[order][:, None]
+        alpha = torch.where(shown, raw.clamp_max(THRESHOLDS.alpha_max), torch.zeros_like(raw))
         following = torch.cumprod(1.0 - alpha, 0)
         before = torch.cat([torch.ones_like(following[:1]), following[:-1]])
-        weight = torch.where(following > 1e-4, alpha * before, torch.zeros_like(alpha))
+        weight = torch.where(following > THRESHOLDS.transmittance_end, alpha * before, torch.zeros_like(alpha))
         shape = (view.height, view.width)
         visible = torch.zeros(planes.shape[1], dtype=torch.bool)
         visible[order] = shown.any(1)
@@ -65,14 +65,16 @@ class ReferenceRasterizer(AutogradRasterizer):
             -2,
         )
         M = rotation * planes[LOG_SCALE].T.exp()[:, None, :]
-        # The Jacobian is taken at most 15 % of the image beyond its borders, as in gsplat.
+        # The Jacobian is taken at most a margin beyond the image's borders, as in gsplat.
+        margin_x = THRESHOLDS.jacobian_margin * view.width / view.fx
+        margin_y = THRESHOLDS.jacobian_margin * view.height / view.fy
         rx = (p_cam[:, 0] / z).clamp(
-            -((view.cx + 0.5) / view.fx + 0.15 * view.width / view.fx),
-            (view.width - view.cx - 0.5) / view.fx + 0.15 * view.width / view.fx,
+            -((view.cx + 0.5) / view.fx + margin_x),
+            (view.width - view.cx - 0.5) / view.fx + margin_x,
         )
         ry = (p_cam[:, 1] / z).clamp(
-            -((view.cy + 0.5) / view.fy + 0.15 * view.height / view.fy),
-            (view.height - view.cy - 0.5) / view.fy + 0.15 * view.height / view.fy,
+            -((view.cy + 0.5) / view.fy + margin_y),
+            (view.height - view.cy - 0.5) / view.fy + margin_y,
         )
         zero = torch.zeros_like(z)
         J = torch.stack(
@@ -83,4 +85,4 @@ class ReferenceRasterizer(AutogradRasterizer):
             -2,
         )
         A = J @ R @ M
-        return A @ A.transpose(1, 2) + 0.3 * torch.eye(2, dtype=planes.dtype)
+        return A @ A.transpose(1, 2) + THRESHOLDS.low_pass_px2 * torch.eye(2, dtype=planes.dtype)

@@ -13,8 +13,9 @@ import pytest
 from test_gaussian_mapper import mapped, started, street
 
 from bench.errors import BenchError
-from bench.gaussians.parameters import COLOR, OPACITY_LOGIT, NamedParameters
+from bench.gaussians.parameters import NamedParameters
 from bench.gaussians.ply import read_ply
+from bench.gaussians.schema import COLOR, OPACITY_LOGIT
 from bench.types import Float, PinholeView, RenderedView, Trajectory
 from plugins.mappers.gaussian import GaussianMapper, GaussianMapperConfig
 

@@ -10,8 +10,9 @@ import pytest
 import torch
 
 from bench.errors import BenchError
-from bench.gaussians.parameters import OPACITY_LOGIT, NamedParameters
+from bench.gaussians.parameters import NamedParameters
 from bench.gaussians.ply import read_ply
+from bench.gaussians.schema import OPACITY_LOGIT
 from bench.gaussians.seeding import SeedConfig
 from bench.types import DepthMap, Keyframe, PinholeView, Trajectory
 from plugins.datasets.street import Street, StreetConfig

@@ -88,9 +88,9 @@ def test_images_of_different_shapes_are_refused(shape: tuple[int, ...], text: st
 def test_adam_refuses_wrong_shapes() -> None:
     planes, rates = torch.zeros(14, 6), [0.1] * 14
     common = (0.9, 0.999, 1e-15, 1, None)
-    with pytest.raises(ValueError, match=r"must all have shape \(14, N\)"):
+    with pytest.raises(ValueError, match="must all have the same shape"):
         _native.adam_step(planes, planes, planes, torch.zeros(14, 5), None, rates, *common)
-    with pytest.raises(ValueError, match="rates must have 14 entries"):
+    with pytest.raises(ValueError, match="rates must have one entry per plane"):
         _native.adam_step(planes, planes, planes, planes, None, rates[:3], *common)
     with pytest.raises(ValueError, match=r"position_rate must have shape \(N,\)"):
         _native.adam_step(planes, planes, planes, planes, torch.zeros(5), rates, *common)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from bench import _native
 from bench.contracts.rasterizer import Rasterizer
-from bench.gaussians.parameters import PLANES
+from bench.gaussians.schema import planes_of
 from bench.registry import PluginConfig
 from bench.types import PinholeView
 from plugins.rasterizers.cpu import CpuRasterizer, CpuRasterizerConfig
@@ -104,7 +104,7 @@ def test_no_image_gradient_at_all(make: Callable[[], Rasterizer]) -> None:
 def test_nothing_to_see(make: Callable[[], Rasterizer], behind: bool) -> None:
     """No Gaussian at all, or one behind the camera: black images and zero gradients of the right shapes."""
     _, view = random_scene(SCENES["round, opaque, 33x17"])
-    planes = torch.zeros(PLANES, int(behind))
+    planes = torch.zeros(planes_of(0), int(behind))
     if behind:
         planes[:3, 0] = torch.from_numpy(view.T_world_cam @ [0.1, 0.1, -3.0, 1.0])[:3].float()
         planes[6] = 1.0

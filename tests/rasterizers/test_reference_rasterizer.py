@@ -12,7 +12,8 @@ from torch import Tensor
 
 from bench import registry
 from bench.contracts.rasterizer import Rasterizer
-from bench.gaussians.parameters import COLOR, QUATERNION, planes_from
+from bench.gaussians.parameters import planes_from
+from bench.gaussians.schema import COLOR, QUATERNION
 from bench.registry import PluginConfig
 from bench.types import PinholeView
 from plugins.rasterizers.cpu import CpuRasterizerConfig
