@@ -140,7 +140,7 @@ class Trajectory:
 class Event:
     """Something that happened in a run, at the frame with number ``frame``; a line of ``events.jsonl``.
 
-    ``kind`` is one of the project's own (``bench/slam/event_log.py`` lists them) or a plugin's; ``values`` are plain
+    ``kind`` is one of the project's own (``bench/runs/events.py`` lists them) or a plugin's; ``values`` are plain
     data (numbers, text, lists of them), without times, so that equal runs have equal events.
     """
 

@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import zipfile
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from bench.cache.entry import DamagedEntryError
-from bench.types import Float, StereoFrame, TrackingResult, Trajectory
-
-Said = tuple[int, str, str]
-"""A line of the log: level, logger, text."""
-
-
-def digest_of(frame: StereoFrame) -> bytes:
-    """SHA-256 of a frame's number, time and every pixel of its pair."""
-    digest = hashlib.sha256(repr((frame.number, frame.timestamp, frame.left.shape)).encode())
-    digest.update(np.ascontiguousarray(frame.left).data)
-    digest.update(np.ascontiguousarray(frame.right).data)
-    return digest.digest()
+from bench.types import Event, Float, TrackingResult, Trajectory
 
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """One frame: the tracker's answer, the seconds that it took, what went to the log meanwhile.
+    """One frame: the tracker's answer and the seconds that it took.
 
     Of the trajectory after it, only what changed is kept: ``rows`` (K,) of poses and the ``poses`` (K, 4, 4) there now,
     new ones included.
@@ -38,7 +26,6 @@ class TrackedFrame:
     digest: bytes
     result: TrackingResult
     seconds: float
-    said: list[Said]
     rows: npt.NDArray[np.int64]
     poses: Float
 
@@ -49,7 +36,6 @@ class Correction:
 
     rows: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     poses: Float = field(default_factory=lambda: np.zeros((0, 4, 4)))
-    said: list[Said] = field(default_factory=list)
 
 
 @dataclass
@@ -63,20 +49,20 @@ class Recording:
     last: Correction = field(default_factory=lambda: Correction())
     _poses: Float = field(default_factory=lambda: np.zeros((0, 4, 4)))
 
-    def add(self, digest: bytes, result: TrackingResult, seconds: float, said: list[Said], after: Trajectory) -> bool:
+    def add(self, digest: bytes, result: TrackingResult, seconds: float, after: Trajectory) -> bool:
         """Append a frame; False (and nothing is added) where the trajectory dropped a frame that it had before."""
         rows = self._changed(after)
         if rows is None:
             return False
-        self.frames.append(TrackedFrame(digest, result, seconds, said, rows, after.T_world_cam[rows]))
+        self.frames.append(TrackedFrame(digest, result, seconds, rows, after.T_world_cam[rows]))
         return True
 
-    def end(self, said: list[Said], after: Trajectory) -> bool:
+    def end(self, after: Trajectory) -> bool:
         """Note what ``finish`` changed; False as in ``add``."""
         rows = self._changed(after)
         if rows is None:
             return False
-        self.last = Correction(rows, after.T_world_cam[rows], said)
+        self.last = Correction(rows, after.T_world_cam[rows])
         return True
 
     def _changed(self, after: Trajectory) -> npt.NDArray[np.int64] | None:
@@ -105,7 +91,7 @@ class Recording:
             "landmark_counts": np.array([len(ids) for ids in landmarks], dtype=np.int64),
             "landmarks": np.concatenate([*landmarks, np.zeros(0, np.int64)]),
             "seconds": np.array([frame.seconds for frame in self.frames]),
-            "said": np.array([json.dumps(frame.said) for frame in self.frames]),
+            "events": np.array([json.dumps([asdict(event) for event in r.events]) for r in results]),
             "row_counts": np.array([len(frame.rows) for frame in self.frames], dtype=np.int64),
             "rows": np.concatenate([*(frame.rows for frame in self.frames), np.zeros(0, np.int64)]),
             "poses": np.concatenate([*(frame.poses for frame in self.frames), np.zeros((0, 4, 4))]),
@@ -113,7 +99,6 @@ class Recording:
             "timestamps": self.timestamps,
             "last_rows": self.last.rows,
             "last_poses": self.last.poses,
-            "last_said": np.array(json.dumps(self.last.said)),
         }
         file = io.BytesIO()
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # its stub takes allow_pickle for an array
@@ -137,17 +122,14 @@ class Recording:
                         int(a["inliers"][k]),
                         float(a["reprojection_px"][k]),
                         None if a["without_landmarks"][k] else landmarks[k],
+                        tuple(Event(**event) for event in json.loads(str(a["events"][k]))),
                     ),
                     float(a["seconds"][k]),
-                    [tuple(line) for line in json.loads(str(a["said"][k]))],
                     rows[k],
                     poses[k],
                 )
                 for k in range(len(a["states"]))
             ]
-            last = Correction(
-                a["last_rows"], a["last_poses"], [tuple(line) for line in json.loads(str(a["last_said"]))]
-            )
-            return cls(frames, a["numbers"], a["timestamps"], last)
+            return cls(frames, a["numbers"], a["timestamps"], Correction(a["last_rows"], a["last_poses"]))
         except (ValueError, KeyError, IndexError, OSError, zipfile.BadZipFile) as error:
             raise DamagedEntryError(f"it is no recording: {error}") from error

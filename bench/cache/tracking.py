@@ -6,10 +6,8 @@ import dataclasses
 import hashlib
 import json
 import logging
-import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,8 @@ import numpy as np
 
 from bench.cache.cost import Cost
 from bench.cache.entry import DamagedEntryError
-from bench.cache.recording import Recording, Said, digest_of
+from bench.cache.identity import frame_identity
+from bench.cache.recording import Recording
 from bench.cache.settings import CacheConfig
 from bench.cache.store import CacheStore
 from bench.code_version import code_version, project_version
@@ -30,8 +29,6 @@ from bench.types import StereoFrame, TrackingResult, Trajectory
 from bench.weights.checksum import sha256_of
 
 log = logging.getLogger(__name__)
-
-_LOGGERS = ("bench", "plugins")
 
 
 def cached_tracker(tracker: Tracker, config: PluginConfig, dataset: Mapping[str, Any], cache: CacheConfig) -> Tracker:
@@ -71,7 +68,7 @@ class CachedTracker(Tracker):
 
     def track(self, frame: StereoFrame) -> TrackingResult:
         """The recorded answer, or the tracker's; ``last_cost`` says what computing it took."""
-        digest = digest_of(frame)
+        digest = frame_identity(frame, with_time=True)
         position = self._position
         self._position += 1
         if self._repeated is not None:
@@ -79,11 +76,10 @@ class CachedTracker(Tracker):
                 return self._repeat(position)
             self._take_over(position)
         start = time.perf_counter()
-        with _heard() as said:
-            result = self._tracker.track(frame)
+        result = self._tracker.track(frame)
         seconds = time.perf_counter() - start
         self.last_cost = Cost(seconds, cached=False)
-        self._record(digest, result, seconds, said)
+        self._record(digest, result, seconds)
         return result
 
     def finish(self) -> None:
@@ -92,13 +88,11 @@ class CachedTracker(Tracker):
             if self._position == len(self._repeated.frames):
                 last = self._repeated.last
                 self._poses[last.rows] = last.poses
-                _say_again(last.said)
             return
-        with _heard() as said:
-            self._tracker.finish()
+        self._tracker.finish()
         if self._recording is None or self._position < len(self._dataset):
             return
-        if self._recording.end(said, self._tracker.trajectory()):
+        if self._recording.end(self._tracker.trajectory()):
             try:
                 self._store.write_content("tracker", self._name, self._key, self._recording.encode())
             except (OSError, BenchError) as error:
@@ -118,7 +112,6 @@ class CachedTracker(Tracker):
             missing = max(int(frame.rows.max()) + 1 - len(self._poses), 0)
             self._poses = np.concatenate([self._poses, np.zeros((missing, 4, 4))])
             self._poses[frame.rows] = frame.poses
-        _say_again(frame.said)
         self.last_cost = Cost(frame.seconds, cached=True)
         return frame.result
 
@@ -130,11 +123,11 @@ class CachedTracker(Tracker):
         for each in range(position):
             self._tracker.track(self._dataset.frame(each))
 
-    def _record(self, digest: bytes, result: TrackingResult, seconds: float, said: list[Said]) -> None:
+    def _record(self, digest: bytes, result: TrackingResult, seconds: float) -> None:
         """Note the answer; a tracker that drops frames that it had located can't be recorded."""
-        if self._recording is not None and not self._recording.add(
-            digest, result, seconds, said, self._tracker.trajectory()
-        ):
+        if self._recording is None:
+            return
+        if not self._recording.add(digest, result, seconds, self._tracker.trajectory()):
             self._recording = None
 
     def _read(self) -> Recording | None:
@@ -162,33 +155,3 @@ def _key(tracker: Tracker, config: PluginConfig, dataset: Mapping[str, Any]) -> 
         "machine": what_computes(),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
-
-
-def _say_again(said: list[Said]) -> None:
-    for level, name, text in said:
-        logging.getLogger(name).log(level, "%s", text)
-
-
-@contextmanager
-def _heard() -> Iterator[list[Said]]:
-    """What this thread logs during the block, for the log of later runs."""
-    said: list[Said] = []
-    handler = _Listener(said)
-    for name in _LOGGERS:
-        logging.getLogger(name).addHandler(handler)
-    try:
-        yield said
-    finally:
-        for name in _LOGGERS:
-            logging.getLogger(name).removeHandler(handler)
-
-
-class _Listener(logging.Handler):
-    def __init__(self, said: list[Said]) -> None:
-        super().__init__()
-        self._said = said
-        self._thread = threading.get_ident()
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if record.thread == self._thread:
-            self._said.append((record.levelno, record.name, record.getMessage()))

@@ -9,7 +9,7 @@ from typing import Any
 
 from bench.contracts.loss import LossTerm
 from bench.contracts.rasterizer import Rasterizer
-from bench.types import Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
+from bench.types import Event, Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
 
 
 class Mapper(ABC):
@@ -38,13 +38,14 @@ class Mapper(ABC):
     def finish(self) -> None:
         """Called once after the last keyframe, before the map is rendered and saved."""
 
-    def final_steps(self) -> Iterator[None]:
-        """``finish`` in pieces: whenever it yields, ``state`` is whole, so that a long end can have checkpoints too.
+    def final_steps(self) -> Iterator[Sequence[Event] | None]:
+        """``finish`` in pieces: whenever it yields, ``state`` is whole, so that a long end can have checkpoints too. It
+        yields what happened to the map meanwhile, or nothing.
 
         A mapper whose ``finish`` takes long writes this one, and lets ``finish`` go through it.
         """
         self.finish()
-        yield
+        yield None
 
     def state(self) -> dict[str, Any] | None:
         """All that learning goes on from, for a checkpoint: CPU tensors, numbers, text, and lists and dicts of them.

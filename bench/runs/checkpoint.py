@@ -33,7 +33,8 @@ class Snapshot:
     """A run after ``len(rows)`` frames.
 
     ``rows`` are those of ``frames.csv``; ``mapper`` is what ``Mapper.state`` gave; ``seconds`` by stage, ``elapsed_s``
-    of wall time; ``psnr_db`` of the newest keyframe; ``random`` is the state of torch's generator.
+    of wall time; ``psnr_db`` of the newest keyframe; ``random`` is the state of torch's generator;
+    ``events`` so far, as plain data.
     """
 
     rows: list[dict[str, Any]]
@@ -44,6 +45,7 @@ class Snapshot:
     peak_memory_gb: float
     random: torch.Tensor
     resumed_after: list[int] = field(default_factory=list)
+    events: list[dict[str, Any]] = field(default_factory=list)
 
 
 class Checkpoints:

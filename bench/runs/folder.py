@@ -23,9 +23,10 @@ from bench.errors import BenchError
 from bench.io.atomic import TEMPORARY_PATTERN, atomic_path, write_image, write_json, write_text
 from bench.io.trajectories import write_kitti, write_tum
 from bench.runs.config_file import CONFIG_FILE, differing_keys, read_config, write_config
+from bench.runs.events import EVENTS_FILE, write_events
 from bench.runs.status import STATUS_FILE, current_status, read_status, write_status
 from bench.runs.trajectory_csv import as_csv
-from bench.types import Image, Map, RenderedView, Trajectory
+from bench.types import Event, Image, Map, RenderedView, Trajectory
 
 View = Literal["left", "right"]
 
@@ -47,6 +48,7 @@ FRAME_COLUMNS = ["number", "timestamp", "state", "mapped", "heldout"]
 _RUN_FILES = (
     STATUS_FILE,
     FRAMES_FILE,
+    EVENTS_FILE,
     TRAJECTORY_FILE,
     "trajectory_kitti.txt",
     "trajectory_tum.txt",
@@ -193,6 +195,10 @@ class RunFolder:
         """Save what happened to each frame as ``frames.csv``: ``FRAME_COLUMNS`` and what else the run measured."""
         table = pd.DataFrame(rows, columns=None if rows else FRAME_COLUMNS)
         write_text(self.path / FRAMES_FILE, table.to_csv(index=False))
+
+    def write_events(self, events: Sequence[Event]) -> None:
+        """Save what happened, in order, as ``events.jsonl``."""
+        write_events(self.path, events)
 
     def write_json(self, name: str, obj: Any) -> None:
         """Save a JSON file, for example ``resources.json``; NaN becomes null."""

@@ -5,7 +5,6 @@ It never looks at the map, so it may run ahead of it in a thread of its own.
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -16,13 +15,12 @@ import numpy as np
 from bench.cache import cost_of
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
+from bench.runs.events import check_events
 from bench.slam.prefetch import prefetch
-from bench.types import Keyframe, StereoFrame, TrackingResult, Trajectory
+from bench.types import Event, Keyframe, StereoFrame, TrackingResult, Trajectory
 
 if TYPE_CHECKING:
     from bench.slam.system import System
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -30,6 +28,7 @@ class Seen:
     """What the front end says about one frame; ``keyframe`` and the poses of that moment for a keyframe only."""
 
     row: dict[str, Any]
+    events: tuple[Event, ...]
     keyframe: Keyframe | None = None
     window: tuple[int, ...] = ()
     trajectory: Trajectory | None = None
@@ -38,6 +37,7 @@ class Seen:
 def front_end(system: System) -> Generator[Seen, None, None]:
     """Tracking, keyframing, stereo and sky of every frame, in order."""
     camera = system.dataset.camera
+    lost = False
     for position, frame in prefetch(system.dataset):
         start = time.perf_counter()
         tracking = _checked(system.tracker.track(frame), frame, system.tracker)
@@ -56,16 +56,18 @@ def front_end(system: System) -> Generator[Seen, None, None]:
             "stereo_s": 0.0,
             "stereo_cached": False,
         }
-        if tracking.state == "lost":
-            log.warning("frame %d: tracking is lost", frame.number)
-        if tracking.state == "lost" or row["heldout"]:
-            yield Seen(row)
+        events = tracking.events
+        if tracking.state == "lost" and not lost:
+            events += (Event("lost", frame.number),)
+        lost = tracking.state == "lost"
+        if lost or row["heldout"]:
+            yield Seen(row, events)
             continue
         decision = system.keyframer.update(frame, tracking)
         row["keyframe_reason"] = decision.reason
         row["is_keyframe"] = decision.is_keyframe
         if not (decision.is_keyframe and system.mapper.wants_keyframes):
-            yield Seen(row)
+            yield Seen(row, events)
             continue
         start = time.perf_counter()
         depth = system.stereo.depth(frame, position, camera)
@@ -78,7 +80,7 @@ def front_end(system: System) -> Generator[Seen, None, None]:
         trajectory = system.tracker.trajectory()
         pose = trajectory.pose_of(frame.number)
         assert pose is not None
-        yield Seen(row, Keyframe(frame, depth, sky, pose), decision.window, trajectory)
+        yield Seen(row, events, Keyframe(frame, depth, sky, pose), decision.window, trajectory)
 
 
 def _checked(tracking: TrackingResult, frame: StereoFrame, tracker: Tracker) -> TrackingResult:
@@ -91,4 +93,5 @@ def _checked(tracking: TrackingResult, frame: StereoFrame, tracker: Tracker) -> 
             f"{type(tracker).__name__}.track returned state '{tracking.state}' with a pose of {got} for frame "
             f"{frame.number}; expected a finite 4x4 pose, or None with state 'lost'."
         )
+    check_events(tracking.events, f"{type(tracker).__name__}.track")
     return tracking

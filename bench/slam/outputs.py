@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -16,9 +16,10 @@ from bench.evaluation.frame_states import stretches
 from bench.io.atomic import atomic_path
 from bench.protocol import Protocol
 from bench.runs.checkpoint import Snapshot
+from bench.runs.events import tell
 from bench.runs.folder import MAP_FILE, RESOURCES_FILE, RunFolder
 from bench.runs.memory import PeakMemory
-from bench.types import PinholeView, RenderedView, Trajectory
+from bench.types import Event, PinholeView, RenderedView, Trajectory
 
 if TYPE_CHECKING:
     from bench.slam.system import System
@@ -30,6 +31,7 @@ class Done:
 
     rows: list[dict[str, Any]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=lambda: {"tracking": 0.0, "stereo": 0.0, "mapping": 0.0})
+    events: list[Event] = field(default_factory=list)
     psnr_db: float = float("nan")
     started: float = field(default_factory=time.perf_counter)
     wall_s: float | None = None  # of the whole SLAM, before rendering for the evaluation
@@ -48,9 +50,16 @@ class Done:
         """Numbers of frames after which the run was gone on with."""
         return [] if self.before is None else [*self.before.resumed_after, len(self.before.rows)]
 
+    def note(self, events: Sequence[Event]) -> None:
+        """What just happened, which also goes to the log."""
+        for event in events:
+            tell(event)
+        self.events += events
+
     def go_on_from(self, snapshot: Snapshot) -> None:
         """Take over what was done before the break; the clock starts now."""
         self.rows = list(snapshot.rows)
+        self.events = [Event(**event) for event in snapshot.events]
         self.seconds = dict(snapshot.seconds)
         self.psnr_db = snapshot.psnr_db
         self.before = snapshot
@@ -96,6 +105,7 @@ def save_outputs(system: System, folder: RunFolder, done: Done, memory: PeakMemo
     """Everything but the renders; what there is of it, when the run ended early."""
     frames = max(len(done.rows), 1)
     folder.write_frames(done.rows)
+    folder.write_events(done.events)
     folder.write_trajectory(_trajectory_so_far(system.tracker, done), _ground_truth_so_far(system.dataset, done))
     if system.mapper.gaussians:
         with atomic_path(folder.path / MAP_FILE) as temporary:

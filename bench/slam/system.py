@@ -11,9 +11,9 @@ import json
 import logging
 import signal
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from bench.errors import BenchError
 from bench.protocol import Protocol
 from bench.registry import KINDS, SEVERAL_AT_ONCE
 from bench.runs.checkpoint import Checkpoints, Snapshot
+from bench.runs.events import check_events
 from bench.runs.fingerprint import fingerprint
 from bench.runs.folder import PROVENANCE_FILE, RunFolder
 from bench.runs.memory import PeakMemory
@@ -40,7 +41,7 @@ from bench.runs.provenance import collect_provenance
 from bench.slam.front_end import Seen, front_end
 from bench.slam.outputs import Done, save_outputs, save_views
 from bench.slam.prefetch import in_background
-from bench.types import Keyframe
+from bench.types import Event, Keyframe
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +50,7 @@ FRAMES_AHEAD = 3
 
 # What the front end must say again, to the bit, when a run is gone on with.
 _REPEATED = ("number", "state", "inliers", "reprojection_px", "heldout", "is_keyframe", "keyframe_reason")
-_END = object()
+_END: Any = object()
 
 # Called as each frame is done: frames done, frames in all, PSNR of the newest keyframe in dB (NaN before the first).
 Progress = Callable[[int, int, float], None]
@@ -215,6 +216,7 @@ class _Run:
         row, done = seen.row, self.done
         done.seconds["tracking"] += row["tracking_s"]
         done.seconds["stereo"] += row["stereo_s"]
+        done.note(seen.events)
         mapping_before = done.seconds["mapping"]
         if seen.keyframe is not None:
             row |= _map_keyframe(self.system, done, seen)
@@ -227,9 +229,10 @@ class _Run:
         steps = self.system.mapper.final_steps()
         while True:
             with self.done.timed("mapping"):
-                ended = next(steps, _END) is _END
-            if ended:
+                events = next(steps, _END)
+            if events is _END:
                 return
+            _note_of_mapper(self.system, self.done, events or ())
             self._after_a_step("last optimisation")
 
     def _go_on_from(self, snapshot: Snapshot, stream: Iterator[Seen]) -> None:
@@ -281,6 +284,7 @@ class _Run:
             peak_memory_gb=done.peak_memory_gb(self.memory),
             random=torch.get_rng_state(),
             resumed_after=done.resumed_after(),
+            events=[asdict(event) for event in done.events],
         )
 
 
@@ -288,6 +292,11 @@ def _same(one: object, other: object) -> bool:
     """Whether two rows are equal to the bit; NaN equals NaN, and numpy's numbers equal Python's."""
     first, second = (json.dumps(row, default=lambda number: number.item()) for row in (one, other))
     return first == second
+
+
+def _note_of_mapper(system: System, done: Done, events: Sequence[Event]) -> None:
+    check_events(events, type(system.mapper).__name__)
+    done.note(events)
 
 
 def _map_keyframe(system: System, done: Done, seen: Seen) -> dict[str, Any]:
@@ -298,6 +307,7 @@ def _map_keyframe(system: System, done: Done, seen: Seen) -> dict[str, Any]:
         system.mapper.update_poses(seen.trajectory)
         report = system.mapper.add_keyframe(seen.keyframe, seen.window)
     done.psnr_db = report.psnr_db
+    _note_of_mapper(system, done, report.events)
     log.info(
         "frame %d: keyframe (%s), %d Gaussians, %.2f dB, %s",
         *(seen.keyframe.frame.number, seen.row["keyframe_reason"], report.gaussians, report.psnr_db),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,7 +46,8 @@ class OdometrySettings:
 class FramePose:
     """Result for one frame; ``T_world_cam`` is None when lost. ``keyframe`` and ``T_keyframe_cam`` let the pose follow
     later corrections of its reference keyframe; keyframe -1 = it hangs on none. "weak" with inliers: located, but many
-    matches disagree; "weak" without: predicted, or the beginning of a new map."""
+    matches disagree; "weak" without: predicted, or the beginning of a new map. ``recognised``: the keyframe whose place
+    a lost camera was found at."""
 
     state: TrackingState
     T_world_cam: Float | None
@@ -55,6 +56,7 @@ class FramePose:
     inliers: int
     rms_px: float
     landmarks: Ints
+    recognised: int | None = None
 
 
 class StereoOdometry:
@@ -201,7 +203,7 @@ class StereoOdometry:
         self._map.restart()
         result = self._begin(view, self._map.poses[keyframe] @ T_keyframe_cam)
         self._failures = -1  # The new map gets as many attempts as the old one had.
-        return result
+        return replace(result, recognised=keyframe)
 
     def _bridge(self, view: View, predicted: Float) -> FramePose:
         """Nothing matches: go on at constant velocity for a few frames, then begin a new map where we should be."""

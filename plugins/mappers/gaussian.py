@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import logging
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +24,7 @@ from bench.gaussians.schema import OPACITY_LOGIT, planes_of
 from bench.gaussians.seeding import SeedConfig, seed_gaussians
 from bench.registry import PluginConfig, register
 from bench.supervision.target import Target, target_of
-from bench.types import Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
-
-log = logging.getLogger(__name__)
-
-# Corrections below this (metres, radians) come with nearly every keyframe and go to the log's finest level.
-_WORTH_TELLING = 0.05
+from bench.types import Event, Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
 
 
 @dataclass(frozen=True)
@@ -110,6 +104,7 @@ class GaussianMapper(Mapper):
         self._keyframes: dict[int, Keyframe] = {}
         self._targets: OrderedDict[int, tuple[Target, Target]] = OrderedDict()
         self._final_done = 0
+        self._happened: list[tuple[str, dict[str, Any]]] = []
 
     @property
     def gaussians(self) -> int:
@@ -125,7 +120,8 @@ class GaussianMapper(Mapper):
         for iteration in range(self.config.iterations):
             values = self._iterate(self._choose(number, window), half=iteration < coarse) or values
         self._prune()
-        return MappingReport(self._psnr(number), self.gaussians, self.config.iterations, values)
+        psnr_db, events = self._psnr(number), self._events(number)
+        return MappingReport(psnr_db, self.gaussians, self.config.iterations, values, events)
 
     def update_poses(self, trajectory: Trajectory) -> None:
         for number, pose in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
@@ -133,26 +129,23 @@ class GaussianMapper(Mapper):
             if known is not None and not np.array_equal(known.T_world_cam, pose):
                 self._keyframes[number] = replace(known, T_world_cam=pose)
         motion = self._anchors.follow(trajectory, self._planes, self._optimizer)
-        worth_telling = max(motion.largest_m, np.deg2rad(motion.largest_deg)) > _WORTH_TELLING
-        log.log(
-            logging.INFO if worth_telling else logging.DEBUG,
-            "the map follows corrected poses: %d keyframes with %d Gaussians move by up to %.3f m and %.3f degrees",
-            *(motion.keyframes, motion.gaussians, motion.largest_m, motion.largest_deg),
-        )
+        if motion.keyframes:
+            self._happened.append(("map_moved", asdict(motion)))
 
     def finish(self) -> None:
         for _ in self.final_steps():
             pass
 
-    def final_steps(self) -> Iterator[None]:
+    def final_steps(self) -> Iterator[tuple[Event, ...]]:
         if not self._keyframes:
             return
         numbers = list(self._keyframes)
         while self._final_done < self.config.final_iterations * len(numbers):
             self._iterate(int(self._random.choice(numbers)), half=False)
             self._final_done += 1
-            yield
+            yield self._events(numbers[-1])
         self._prune()
+        yield self._events(numbers[-1])
 
     def state(self) -> dict[str, Any]:
         return {
@@ -256,10 +249,17 @@ class GaussianMapper(Mapper):
         keep = torch.sigmoid(self._planes[OPACITY_LOGIT]) >= self.config.prune_opacity
         if bool(keep.all()):
             return
+        self._happened.append(("pruned", {"count": int((~keep).sum())}))
         self._planes = self._planes[:, keep].contiguous()
         self._birth_depth = self._birth_depth[keep]
         self._optimizer.keep(keep)
         self._anchors.keep(keep)
+
+    def _events(self, number: int) -> tuple[Event, ...]:
+        """What happened to the map since this was asked last; keyframe ``number`` is the newest."""
+        events = tuple(Event(kind, number, values) for kind, values in self._happened)
+        self._happened = []
+        return events
 
     def _psnr(self, number: int) -> float:
         rendered = self._rasterizer.render(self._planes, self._view(number), differentiable=False)

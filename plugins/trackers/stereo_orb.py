@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -18,9 +17,7 @@ from bench.tracking.loops.closer import Closure, LoopCloser
 from bench.tracking.loops.pose_graph import import_gtsam
 from bench.tracking.loops.settings import LoopSettings
 from bench.tracking.odometry import FramePose, OdometrySettings, StereoOdometry
-from bench.types import Float, StereoFrame, TrackingResult, Trajectory
-
-log = logging.getLogger(__name__)
+from bench.types import Event, Float, StereoFrame, TrackingResult, Trajectory
 
 
 @dataclass(frozen=True)
@@ -99,33 +96,39 @@ class StereoOrb(Tracker):
         assert self._odometry is not None, "start() comes before track()"
         found = self._odometry.track(grey(frame.left), grey(frame.right), frame.timestamp)
         self._frames.append((frame.number, frame.timestamp, found))
-        pose = found.T_world_cam
-        if self._closed_a_loop(frame.number) and pose is not None:
-            pose = self._corrected(found)
-        return TrackingResult(pose, found.state, found.inliers, found.rms_px, found.landmarks)
+        pose, events = found.T_world_cam, []
+        if found.recognised is not None:
+            events.append(Event("relocalised", frame.number, {"to_frame": self._keyframe_numbers[found.recognised]}))
+        closure = self._closed_loop(frame.number)
+        if closure is not None:
+            events.append(self._event(closure))
+            pose = pose if pose is None else self._corrected(found)
+        return TrackingResult(pose, found.state, found.inliers, found.rms_px, found.landmarks, tuple(events))
 
-    def _closed_a_loop(self, number: int) -> bool:
-        """Show the frame's keyframe, if it is one, to the loop closer; True if all poses were corrected."""
+    def _closed_loop(self, number: int) -> Closure | None:
+        """Show the frame's keyframe, if it is one, to the loop closer; the closure that corrected all poses, if any."""
         assert self._odometry is not None
         assert self._closer is not None
         keyframe = self._odometry.new_keyframe
         if keyframe is None:
-            return False
+            return None
         self._keyframe_numbers.append(number)
         closure = self._closer.add(keyframe, self._odometry.keyframe_poses())
-        if closure is None:
-            return False
-        self._odometry.correct(closure.poses)
-        log.info("%s", self._told(closure))
-        return True
+        if closure is not None:
+            self._odometry.correct(closure.poses)
+        return closure
 
-    def _told(self, closure: Closure) -> str:
-        old, new = self._keyframe_numbers[closure.old], self._keyframe_numbers[closure.new]
-        return (
-            f"loop closed: frame {new} sees the place of frame {old} ({closure.inliers} inliers; {closure.loops} of "
-            f"{closure.known} loops believed); {closure.moved} of {len(closure.poses)} tracker keyframes moved, the "
-            f"farthest by {closure.farthest_m:.2f} m"
-        )
+    def _event(self, closure: Closure) -> Event:
+        values = {
+            "to_frame": self._keyframe_numbers[closure.old],
+            "inliers": closure.inliers,
+            "loops_believed": closure.loops,
+            "loops": closure.known,
+            "keyframes_moved": closure.moved,
+            "keyframes": len(closure.poses),
+            "farthest_m": closure.farthest_m,
+        }
+        return Event("loop_closed", self._keyframe_numbers[closure.new], values)
 
     def trajectory(self) -> Trajectory:
         """Poses that follow all later corrections of the keyframes they hang on."""

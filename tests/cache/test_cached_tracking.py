@@ -13,11 +13,12 @@ import pandas as pd
 import pytest
 
 from bench.cache.entry import DamagedEntryError
-from bench.cache.recording import Recording, digest_of
+from bench.cache.identity import frame_identity
+from bench.cache.recording import Recording
 from bench.config import compose_run
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.slam.system import run_system
-from bench.types import StereoFrame, TrackingResult, Trajectory
+from bench.types import Event, StereoFrame, TrackingResult, Trajectory
 from plugins.datasets.street import Street
 from plugins.trackers.stereo_orb import StereoOrb
 
@@ -27,14 +28,15 @@ MAPPED = "mapper.iterations=2"
 
 @pytest.fixture
 def tracked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Numbers of the frames that the tracker really was shown; it says something about each in the log."""
+    """Numbers of the frames that the tracker really was shown; it warns of each, and tells of every second."""
     numbers: list[int] = []
     track = StereoOrb.track
 
     def note(self: StereoOrb, frame: StereoFrame) -> TrackingResult:
         numbers.append(frame.number)
-        logging.getLogger("bench.tracking").info("looked at frame %d", frame.number)
-        return track(self, frame)
+        logging.getLogger("bench.tracking").warning("looked at frame %d", frame.number)
+        events = (Event("loop_closed", frame.number, {"to_frame": 0}),) if frame.number % 2 else ()
+        return replace(track(self, frame), events=events)
 
     monkeypatch.setattr(StereoOrb, "track", note)
     return numbers
@@ -59,7 +61,13 @@ def test_a_second_run_repeats_the_first_ones_tracking(tmp_path: Path, tracked: l
     assert frames[1]["tracking_cached"].all()
     assert frames[1]["stereo_cached"].equals(frames[1]["mapped"])  # SGBM, too
     assert frames[1]["tracking_s"].equals(frames[0]["tracking_s"])
-    assert (second / "log.txt").read_text().count("looked at frame") == 6
+    logs = [(folder / "log.txt").read_text() for folder in (first, second)]
+    assert [log.count("looked at frame") for log in logs] == [6, 0]
+    assert [log.count("loop_closed (to_frame 0)") for log in logs] == [3, 3]
+    assert (first / "events.jsonl").read_bytes() == (alone / "events.jsonl").read_bytes()
+    tracked_then = [json.loads(line) for line in (second / "events.jsonl").read_text().splitlines()]
+    closed = [event for event in tracked_then if event["kind"] == "loop_closed"]
+    assert closed == [{"kind": "loop_closed", "frame": k, "values": {"to_frame": 0}} for k in (1, 3, 5)]
     notes = evaluate_run(second)["notes"]["resources"]
     assert notes.startswith("stereo or sky of 6 frames and tracking of 6 frames came from the cache")
 
@@ -108,13 +116,12 @@ def test_a_run_that_stops_early_leaves_no_recording(tmp_path: Path, monkeypatch:
 
 
 def test_what_finish_corrects_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tracker that moves its third pose by a metre at the very end, and says so."""
+    """A tracker that moves its third pose by a metre at the very end."""
     finished: list[bool] = []
     trajectory = StereoOrb.trajectory
 
     def finish(self: StereoOrb) -> None:
         finished.append(True)
-        logging.getLogger("bench.tracking").info("the last correction")
 
     def corrected(self: StereoOrb) -> Trajectory:
         known = trajectory(self)
@@ -130,7 +137,6 @@ def test_what_finish_corrects_is_repeated(tmp_path: Path, monkeypatch: pytest.Mo
     assert (first / "trajectory.csv").read_bytes() == (second / "trajectory.csv").read_bytes()
     moved = pd.read_csv(second / "trajectory.csv").iloc[:, 2:]
     assert abs(moved.to_numpy()[2] - moved.to_numpy()[1]).max() > 0.9
-    assert "the last correction" in (second / "log.txt").read_text()
 
 
 def test_by_default_nothing_quick_is_kept(tmp_path: Path) -> None:
@@ -147,6 +153,7 @@ def pose(x: float) -> Any:
 def test_a_recording_by_hand() -> None:
     """Frame 1 is lost, frame 2 corrects frame 0: only frames 0 and 2 of the trajectory have to be kept then."""
     recording = Recording()
+    happened = Event("seen_é", 1, {"m": 0.1 + 0.2, "who": ["a", 3]})
     trajectories = [
         Trajectory(np.array([pose(0.1)]), np.array([0]), np.array([0.0])),
         Trajectory(np.array([pose(0.1)]), np.array([0]), np.array([0.0])),
@@ -154,17 +161,17 @@ def test_a_recording_by_hand() -> None:
     ]
     results = [
         TrackingResult(pose(0.1), "ok", 50, 0.25, np.array([3, 9])),
-        TrackingResult(None, "lost", 2, float("nan"), None),
+        TrackingResult(None, "lost", 2, float("nan"), None, (happened,)),
         TrackingResult(pose(2.0), "weak", 7, 1.5, np.zeros(0, np.int64)),
     ]
     for k, (result, after) in enumerate(zip(results, trajectories, strict=True)):
-        assert recording.add(bytes([k]) * 32, result, 0.5 + k, [(20, "bench.x", f"line {k}, é")], after)
+        assert recording.add(bytes([k]) * 32, result, 0.5 + k, after)
     again = Recording.decode(recording.encode())
     assert [frame.rows.tolist() for frame in again.frames] == [[0], [], [0, 1]]
     assert [frame.poses[:, 0, 3].tolist() for frame in again.frames] == [[0.1], [], [0.2, 2.0]]
     assert [frame.digest[0] for frame in again.frames] == [0, 1, 2]
     assert [frame.seconds for frame in again.frames] == [0.5, 1.5, 2.5]
-    assert again.frames[1].said == [(20, "bench.x", "line 1, é")]
+    assert [frame.result.events for frame in again.frames] == [(), (happened,), ()]
     assert again.numbers.tolist() == [0, 2]
     assert again.timestamps.tolist() == [0.0, 0.2]
     for one, other in zip(results, (frame.result for frame in again.frames), strict=True):
@@ -180,8 +187,8 @@ def test_a_recording_by_hand() -> None:
 def test_a_tracker_that_drops_frames_is_not_recorded() -> None:
     recording = Recording()
     result = TrackingResult(pose(0), "ok")
-    assert recording.add(bytes(32), result, 0.0, [], Trajectory(pose(0)[None], np.array([0]), np.array([0.0])))
-    assert not recording.add(bytes(32), result, 0.0, [], Trajectory(pose(1)[None], np.array([1]), np.array([0.1])))
+    assert recording.add(bytes(32), result, 0.0, Trajectory(pose(0)[None], np.array([0]), np.array([0.0])))
+    assert not recording.add(bytes(32), result, 0.0, Trajectory(pose(1)[None], np.array([1]), np.array([0.1])))
 
 
 def test_bytes_of_something_else_are_refused() -> None:
@@ -196,5 +203,5 @@ def test_every_part_of_a_frame_counts() -> None:
     brighter[3, 5, 2] = 1
     others = [replace(frame, number=4), replace(frame, timestamp=0.4)]
     others += [replace(frame, left=brighter), replace(frame, right=brighter)]
-    assert len({digest_of(each) for each in (frame, *others)}) == 5
-    assert digest_of(replace(frame, left=image.copy())) == digest_of(frame)
+    assert len({frame_identity(each, with_time=True) for each in (frame, *others)}) == 5
+    assert frame_identity(replace(frame, left=image.copy()), with_time=True) == frame_identity(frame, with_time=True)

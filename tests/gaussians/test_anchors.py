@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import logging
 import weakref
 from dataclasses import replace
 from pathlib import Path
@@ -146,22 +145,21 @@ def test_small_corrections_add_up_until_the_map_follows(tmp_path: Path) -> None:
     assert np.abs(in_ply(mapper, tmp_path)[0] - means)[ranges[2]].max() > 0.01
 
 
-def test_a_keyframe_that_is_lost_stays_and_the_log_tells_what_moved(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_keyframe_that_is_lost_stays_and_an_event_tells_what_moved(tmp_path: Path) -> None:
     mapper, ranges = seeded()
     means, _ = in_ply(mapper, tmp_path)
     sideways = axis_turn((0, 1, 0), 0.0, (0.25, 0.0, 0.0))
-    with caplog.at_level(logging.INFO):
-        mapper.update_poses(trajectory(dict.fromkeys(range(4), sideways), absent=(1,)))
+    mapper.update_poses(trajectory(dict.fromkeys(range(4), sideways), absent=(1,)))
     new_means, _ = in_ply(mapper, tmp_path)
     np.testing.assert_array_equal(new_means[ranges[1]], means[ranges[1]])
     moved = mapper.gaussians - (ranges[1].stop - ranges[1].start)
-    assert f"3 keyframes with {moved} Gaussians move by up to 0.250 m and 0.000 degrees" in caplog.text
-    caplog.clear()
-    with caplog.at_level(logging.INFO):
-        mapper.update_poses(trajectory(dict.fromkeys(range(4), sideways), absent=(1,)))
-    assert not caplog.text
+    (event,) = next(mapper.final_steps())
+    assert (event.kind, event.frame) == ("map_moved", 3)
+    assert (event.values["keyframes"], event.values["gaussians"]) == (3, moved)
+    assert event.values["largest_m"] == pytest.approx(0.25)
+    assert event.values["largest_deg"] == pytest.approx(0, abs=1e-4)
+    mapper.update_poses(trajectory(dict.fromkeys(range(4), sideways), absent=(1,)))
+    assert next(mapper.final_steps()) == ()
 
 
 def test_only_so_many_keyframes_are_kept_and_the_map_follows_all(tmp_path: Path) -> None:

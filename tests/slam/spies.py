@@ -10,7 +10,7 @@ import numpy as np
 from bench.contracts.loss import LossTerm
 from bench.contracts.rasterizer import Rasterizer
 from bench.registry import PluginConfig, register
-from bench.types import Keyframe, MappingReport, StereoCamera, StereoFrame, TrackingResult, Trajectory
+from bench.types import Event, Keyframe, MappingReport, StereoCamera, StereoFrame, TrackingResult, Trajectory
 from plugins.mappers.gaussian import GaussianMapper, GaussianMapperConfig
 from plugins.trackers.groundtruth import GroundTruth
 
@@ -36,7 +36,7 @@ class SpyMapper(GaussianMapper):
         self.poses.append(trajectory)
         super().update_poses(trajectory)
 
-    def final_steps(self) -> Iterator[None]:
+    def final_steps(self) -> Iterator[tuple[Event, ...]]:
         type(self).finished += 1
         yield from super().final_steps()
 

@@ -23,7 +23,13 @@ from plugins.trackers.groundtruth import GroundTruth
 
 STREET = ("dataset.frames=6", "dataset.width=320", "dataset.height=96", "mapper.iterations=3", "protocol.lpips=false")
 STREET += ("mapper.final_iterations=2", "mapper.cached_targets=2", "protocol.holdout_every=5")
-SAME_BYTES = ("map.ply", "trajectory.csv", "views/left/color/000005.png", "views/right/depth/000003.png")
+SAME_BYTES = (
+    "map.ply",
+    "events.jsonl",
+    "trajectory.csv",
+    "views/left/color/000005.png",
+    "views/right/depth/000003.png",
+)
 
 
 class Killed(BaseException):

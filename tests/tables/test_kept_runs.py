@@ -46,9 +46,8 @@ def runs(tmp_path: Path) -> Path:
             "machine": {"cpu": "AMD", "usable_cores": 2, "gpu": None, "host": "secret"},
         }
         write_json(folder / f"r{seed}" / "provenance.json", provenance)
-    (folder / "r0" / "log.txt").write_text(
-        "2026-11-22 19:26:47,972 INFO plugins.trackers.stereo_orb: loop closed: frame 422 sees the place of frame 2 "
-        "(499 inliers; 3 of 3 loops believed); 411 of 423 tracker keyframes moved, the farthest by 5.35 m\n"
+    (folder / "r0" / "events.jsonl").write_text(
+        '{"kind": "lost", "frame": 9, "values": {}}\n{"kind": "loop_closed", "frame": 422, "values": {"to_frame": 2}}\n'
     )
     reason = "Can't read '/secret/data/velodyne/3.bin' at 0.5 s/frame"
     make_run(folder / "bad", config("05"), None, state="failed", frames=2, reason=reason)

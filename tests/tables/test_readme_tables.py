@@ -16,6 +16,7 @@ from fake_runs import config, make_run, metrics
 from bench.cli import main
 from bench.errors import BenchError
 from bench.io.atomic import write_json
+from bench.runs.events import write_events
 from bench.tables.named.table import make_table
 from bench.tables.records.folder import read_provenance
 from bench.tracking.loops.closer import Closure
@@ -100,12 +101,12 @@ def kept(tmp_path: Path) -> Path:
     for seed in (2, 10, 1):
         made = config("06", dataset__name="street", dataset__seed=seed)
         run = make_run(tmp_path / "c" / f"street{seed}", made, scored(20.0, seed / 10))
-        # The line as the tracker words it.
+        # As the tracker gives it.
         closure = Closure(
             old=0, new=1, poses=np.zeros((9, 4, 4)), inliers=99, loops=3, known=3, moved=8, farthest_m=5.3
         )
-        told = StereoOrb._told(cast(StereoOrb, SimpleNamespace(_keyframe_numbers=[seed, 420 + seed])), closure)
-        (run / "log.txt").write_text(f"2026-11-22 19:26:47,972 INFO plugins.trackers.stereo_orb: {told}\n" * 2)
+        closed = StereoOrb._event(cast(StereoOrb, SimpleNamespace(_keyframe_numbers=[seed, 420 + seed])), closure)
+        write_events(run, [closed] * 2)
         provenance = {"git": {"commit": "0123456789", "dirty": True}, "machine": {"cpu": "AMD", "usable_cores": 2}}
         write_json(run / "provenance.json", provenance)
     for name, folder in (("kitti06", runs), ("trackers", tmp_path / "t"), ("circuits", tmp_path / "c")):
@@ -160,10 +161,16 @@ def test_circuits_name_the_loops_of_the_log(kept: Path) -> None:
     assert "code 0123456 with changes; AMD, 2 cores, no GPU" in text
 
 
-def test_the_trackers_words_are_understood(tmp_path: Path) -> None:
+def test_events_are_read_and_words_are_not(tmp_path: Path) -> None:
+    (tmp_path / "log.txt").write_text("loop closed: frame 8 sees the place of frame 6 (9 inliers)\n")
     assert read_provenance(tmp_path) == {}
-    (tmp_path / "log.txt").write_text("loop closed: frame 7 sees the place of frame 5 (9 inliers)\nloop not closed\n")
+    (tmp_path / "events.jsonl").write_text(
+        '{"kind": "loop_closed", "frame": 7, "values": {"to_frame": 5}}\n{"kind": "lost", "frame": 9, "values": {}}\n'
+    )
     assert read_provenance(tmp_path) == {"loops_closed": [[7, 5]]}
+    (tmp_path / "events.jsonl").write_text('{"kind": "loop_cl')
+    with pytest.raises(BenchError, match=r"events\.jsonl is damaged"):
+        read_provenance(tmp_path)
 
 
 def test_stereo_and_performance_come_from_their_own_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,11 @@ from yaml import YAMLError  # type: ignore[import-untyped]  # comes with omegaco
 from bench.errors import BenchError
 from bench.runs.config_file import CONFIG_FILE
 from bench.runs.config_text import parse_config
-from bench.runs.folder import LOG_FILE, METRICS_FILE, PROVENANCE_FILE
+from bench.runs.events import read_events
+from bench.runs.folder import METRICS_FILE, PROVENANCE_FILE
 from bench.runs.status import read_json, read_status
 from bench.tables.records.portable import portable, portable_config, portable_text
 from bench.tables.records.record import RunRecord
-
-# The stereo tracker's words; what a loop was is nowhere else in a run folder.
-_LOOP = re.compile(r"loop closed: frame (\d+) sees the place of frame (\d+)")
 
 
 def read_folder(folder: Path, views: str = "left") -> RunRecord:
@@ -54,18 +51,10 @@ def read_provenance(folder: Path) -> dict[str, Any]:
     machine = written.get("machine")
     if isinstance(machine, Mapping):
         found["machine"] = {key: machine[key] for key in ("cpu", "usable_cores", "gpu") if key in machine}
-    loops = _closed_loops(folder / LOG_FILE)
+    loops = [[event.frame, event.values["to_frame"]] for event in read_events(folder) if event.kind == "loop_closed"]
     if loops:
         found["loops_closed"] = loops
     return {key: portable(value) for key, value in found.items()}
-
-
-def _closed_loops(log: Path) -> list[list[int]]:
-    """Numbers of the two frames of each loop that the tracker's log names."""
-    if not log.is_file():
-        return []
-    text = log.read_text(encoding="utf-8", errors="replace")
-    return [[int(new), int(old)] for new, old in _LOOP.findall(text)]
 
 
 def _read_config(path: Path) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,10 @@ from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
 from bench.plugin_config import plugin_config_from
 from bench.registry import lookup
+from bench.runs.events import in_words
 from bench.tracking.loops.settings import LoopSettings
 from bench.tracking.loops.vocabulary import train
-from bench.types import StereoCamera, StereoFrame, Trajectory
+from bench.types import Event, StereoCamera, StereoFrame, Trajectory
 
 pytest.importorskip("gtsam")
 
@@ -29,11 +29,10 @@ def stereo_orb(**settings: Any) -> Tracker:
     return plugin.cls(plugin.config(name="stereo_orb", **settings))
 
 
-def drive(tracker: Tracker, dataset: Dataset) -> Trajectory:
+def drive(tracker: Tracker, dataset: Dataset) -> tuple[Trajectory, list[Event]]:
     tracker.start(dataset)
-    for position in range(len(dataset)):
-        tracker.track(dataset.frame(position))
-    return tracker.trajectory()
+    events = [event for position in range(len(dataset)) for event in tracker.track(dataset.frame(position)).events]
+    return tracker.trajectory(), events
 
 
 class Kitti(Dataset):
@@ -56,8 +55,9 @@ def test_a_straight_real_road_closes_nothing(kitti_root: Path, monkeypatch: pyte
     tracker, asked = stereo_orb(loops=eager), []
     real = plugin_file.LoopCloser._follow
     monkeypatch.setattr(plugin_file.LoopCloser, "_follow", lambda self, s: (asked.append(len(s)), real(self, s)))
-    with_loops = drive(tracker, Kitti(kitti_root))
-    without = drive(stereo_orb(loop_closure=False), Kitti(kitti_root))
+    with_loops, events = drive(tracker, Kitti(kitti_root))
+    without, _ = drive(stereo_orb(loop_closure=False), Kitti(kitti_root))
+    assert not events
     assert len(asked) > 15
     assert np.array_equal(with_loops.T_world_cam, without.T_world_cam)
 
@@ -71,17 +71,20 @@ def ate_m(trajectory: Trajectory, truth: Trajectory) -> float:
 
 
 @pytest.mark.slow
-def test_a_street_with_repeated_facades_closes_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_street_with_repeated_facades_closes_and_says_so() -> None:
     street = lookup("dataset", "street")
     drive_at = {"frames": 138, "speed_m": 2.0, "circuit_m": 240, "width": 512, "height": 160}
     dataset = street.cls(street.config(name="street", repeated_facades=True, **drive_at))
     truth = dataset.ground_truth()
     assert truth is not None
-    with caplog.at_level(logging.INFO, logger="plugins.trackers.stereo_orb"):
-        closed = drive(stereo_orb(features=1200), dataset)
-    first = caplog.messages[0]
-    assert first.startswith("loop closed: frame 12")
-    assert "tracker keyframes moved, the farthest by" in first
+    closed, events = drive(stereo_orb(features=1200), dataset)
+    assert {event.kind for event in events} == {"loop_closed"}
+    first = events[0]
+    # One lap is 120 frames; the place may be that of a frame or so beside.
+    assert 120 <= first.frame < 130
+    assert abs(first.frame - first.values["to_frame"] - 120) <= 2
+    assert first.values["keyframes_moved"] <= first.values["keyframes"]
+    assert in_words(first).startswith("loop closed: frame 12")
     assert ate_m(closed, truth) < 0.001 * 276
     # The same place on both laps, but for the 0.2 m by which the car wanders in its lane.
     assert np.linalg.norm(closed.T_world_cam[137, :3, 3] - closed.T_world_cam[17, :3, 3]) < 0.6

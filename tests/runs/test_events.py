@@ -1,0 +1,46 @@
+"""Events: lines of JSON that come back as they were, sentences for people, and refusals that name the plugin."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.errors import BenchError
+from bench.runs.events import check_events, in_words, read_events, write_events
+from bench.types import Event
+
+CLOSED = Event(
+    "loop_closed",
+    422,
+    {"to_frame": 2, "inliers": 499, "loops_believed": 3, "loops": 4, "keyframes_moved": 411, "keyframes": 423}
+    | {"farthest_m": 5.345},
+)
+
+
+def test_events_are_lines_of_json_that_come_back(tmp_path: Path) -> None:
+    events = [CLOSED, Event("lost", 423), Event("mine", 424, {"what": ["é", 0.1 + 0.2]})]
+    write_events(tmp_path, events)
+    lines = [json.loads(line) for line in (tmp_path / "events.jsonl").read_text().splitlines()]
+    assert lines[1] == {"kind": "lost", "frame": 423, "values": {}}
+    assert lines[2]["values"]["what"][1] == 0.1 + 0.2
+    assert read_events(tmp_path) == events
+    assert read_events(tmp_path / "elsewhere") == []
+
+
+def test_people_read_sentences() -> None:
+    assert in_words(CLOSED) == (
+        "loop closed: frame 422 sees the place of frame 2 (499 inliers; 3 of 4 loops believed); 411 of 423 tracker "
+        "keyframes moved, the farthest by 5.34 m"
+    )
+    assert in_words(Event("lost", 7)) == "frame 7: tracking is lost"
+    assert in_words(Event("loop_closed", 7, {"to_frame": 1})) == "frame 7: loop_closed (to_frame 1)"
+    assert in_words(Event("chunk_written", 8)) == "frame 8: chunk_written"
+
+
+@pytest.mark.parametrize("value", [np.int64(3), float("nan"), Path("x")])
+def test_values_that_are_no_plain_data_name_the_plugin(value: object) -> None:
+    with pytest.raises(BenchError, match=r"Mine\.track gave an event 'seen' of frame 5 .*expected plain data"):
+        check_events([Event("seen", 5, {"it": value})], "Mine.track")
