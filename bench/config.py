@@ -35,10 +35,11 @@ from bench.runs.config_file import NO_PART_OF_THE_RUN
 
 @dataclass
 class LimitsConfig:
-    """``memory_gb``: a run that occupies more GB (of 1e9 bytes, with the processes of its plugins) ends as out of
-    memory, before the system picks a process to kill; null = no limit."""
+    """Where a run ends itself."""
 
     memory_gb: float | None = None
+    """A run that occupies more GB (of 1e9 bytes, with the processes of its plugins) ends as out of memory, before the
+    system picks a process to kill; null: no limit."""
 
     def __post_init__(self) -> None:
         if self.memory_gb is not None and not self.memory_gb > 0:
@@ -47,35 +48,48 @@ class LimitsConfig:
 
 @dataclass
 class RootConfig:
-    """The keys of a run; each kind of plugin has its own group beside them.
-
-    ``output``: the run folder; None = ``results/runs/<hash of the config>``. ``rerun``: run again although the folder
-    holds this run, finished. ``resume``: a run that was stopped or killed goes on from its last checkpoint, which is
-    written every ``checkpoint_s`` seconds (0: after each frame; inf: never). ``limits``: where a run ends itself.
-    ``plugins``: folders with plugins of your own. ``pipeline``: "parallel" lets tracking and stereo run ahead of
-    mapping, "sequential" does not; the result is the same. ``cache``: the disk cache of depth maps and sky masks.
-    """
+    """The keys of a run; each kind of plugin has its own group beside them."""
 
     system: str = ""
+    """A set of parts and settings in conf/system: bgs_slam, bgs_slam_fast or bgs_slam_paper."""
     seed: int = 0
+    """Random seed."""
     output: str | None = None
+    """The run folder; null: results/runs/HASH, by the hash of the config."""
     rerun: bool = False
+    """Run again although the folder holds this run, finished."""
     resume: bool = True
+    """A run that was stopped or killed is resumed from its last checkpoint ..."""
     checkpoint_s: float = 30.0
+    """... which is written every so many seconds; 0: after each frame, inf: never."""
     limits: LimitsConfig = field(default_factory=LimitsConfig)
+    """Where a run ends itself."""
     plugins: list[str] = field(default_factory=list)
+    """Folders with plugins of your own."""
     pipeline: str = "parallel"
+    """parallel lets tracking and stereo run ahead of mapping, sequential does not; the result is the same."""
     cache: CacheConfig = field(default_factory=CacheConfig)
+    """The disk cache of depth maps and sky masks."""
     protocol: Any = None
+    """How the run is scored; a preset in conf/protocol, or default."""
     dataset: Any = None
+    """Data set, one of `bgs-bench list dataset`."""
     stereo: Any = None
+    """Stereo backbone, one of `bgs-bench list stereo`."""
     sky: Any = None
+    """Sky segmenter, one of `bgs-bench list sky`."""
     tracker: Any = None
+    """Tracker, one of `bgs-bench list tracker`."""
     keyframer: Any = None
+    """Rule for keyframes, one of `bgs-bench list keyframer`."""
     mapper: Any = None
+    """Mapper, one of `bgs-bench list mapper`."""
     loss: Any = None
+    """Loss terms, several of `bgs-bench list loss`: loss=[rgb,ssim]."""
     rasterizer: Any = None
+    """Rasterizer, one of `bgs-bench list rasterizer`."""
     evaluator: Any = None
+    """Evaluators, several of `bgs-bench list evaluator`."""
 
 
 @dataclass(frozen=True)

@@ -35,3 +35,13 @@ def require_choice(what: str, value: str, accepted: Iterable[str]) -> str:
 def first_line(error: BaseException) -> str:
     """The first line of an error's text, without its full stop: what to quote of another library's error."""
     return str(error).strip().split("\n", 1)[0].rstrip(".")
+
+
+def require_least(where: str, config: object, **least: float) -> None:
+    """Raise a readable ``BenchError`` for the first setting of ``config`` that is below its least value, or NaN.
+
+    ``where`` is how the user begins the setting's name, for example ``"tracker"``.
+    """
+    for name, value in least.items():
+        if not getattr(config, name) >= value:
+            raise BenchError(f"{where}.{name}={getattr(config, name)} is too small; the least is {value:g}.")

@@ -26,20 +26,21 @@ def plugin_config_from(kind: str, mapping: Mapping[str, Any]) -> PluginConfig:
                 f"{did_you_mean(key, accepted)}"
             )
     try:
-        config = OmegaConf.to_object(OmegaConf.merge(registry.config_node(plugin.config), dict(mapping)))
+        merged = OmegaConf.merge(registry.config_node(plugin.config), dict(mapping))
+        _check_lengths(kind, plugin.config, merged)
+        config = OmegaConf.to_object(merged)
     except OmegaConfBaseException as error:
         raise BenchError(f"{kind}={plugin.name}: {first_line(error)}") from error
     assert isinstance(config, plugin.config)
-    _check_lengths(kind, config)
     return config
 
 
-def _check_lengths(kind: str, config: PluginConfig) -> None:
+def _check_lengths(kind: str, config: type[PluginConfig], values: Any) -> None:
     """Raise ``BenchError`` for a list in place of a tuple of another length, which OmegaConf lets pass."""
-    for name, annotation in typing.get_type_hints(type(config)).items():
+    for name, annotation in typing.get_type_hints(config).items():
         parts = typing.get_args(annotation)
         if typing.get_origin(annotation) is not tuple or Ellipsis in parts:
             continue
-        value = getattr(config, name)
+        value = values[name]
         if len(value) != len(parts):
             raise BenchError(f"{kind}.{name}={list(value)} has {len(value)} values; give {len(parts)}.")

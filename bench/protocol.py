@@ -17,31 +17,35 @@ SKIES = ("in", "out")
 
 @dataclass(frozen=True)
 class Protocol:
-    """Settings of the evaluation; two numbers may be compared when their stamps agree.
-
-    ``holdout_every`` = k keeps the frames whose number leaves remainder ``holdout_remainder`` modulo k out of mapping;
-    0 keeps none out. ``alignment`` is that of the ATE ("se3": rotation and translation, no scale; "none"). The depth
-    range in metres limits which LiDAR returns count for Depth-L1 (``depth_max_m`` None: no cap). ``rendered_depth``
-    says what the system saved: "raw" = sum d a T, "normalized" = divided by the accumulated alpha.
-    ``depth_mask`` "unoccluded" leaves out LiDAR returns from behind an edge (``lidar_occlusion``), "all" none.
-    ``right_view`` scores the right camera too; ``lpips_weights`` names a file of AlexNet weights. ``ssim``: windows
-    that lie in the image ("skimage-gaussian"), or reach beyond it into black ("3dgs"); or five scales ("ms-ssim").
-    ``sky`` "out" scores no pixel that the data set's own sky mask says is sky; there is no LPIPS then.
-    """
+    """Settings of the evaluation; two numbers may be compared when their stamps agree."""
 
     name: str = "default"
+    """Name of the protocol in tables."""
     holdout_every: int = 0
+    """k keeps every k-th frame out of mapping; 0 keeps none out."""
     holdout_remainder: int = 2
+    """Those whose number leaves this remainder modulo holdout_every are kept out."""
     alignment: str = "se3"
+    """Alignment of the ATE: se3 (rotation and translation, no scale) or none."""
     rendered_depth: str = "raw"
+    """What depth the system saved: raw = sum d a T, normalized = divided by the accumulated alpha."""
     depth_min_m: float = 0.5
+    """Nearer LiDAR returns don't count for Depth-L1."""
     depth_max_m: float | None = None
+    """Farther LiDAR returns don't count for Depth-L1; null: no cap."""
     depth_mask: str = "all"
+    """all LiDAR returns count, or unoccluded: none from behind an edge."""
     right_view: bool = True
+    """Score the right camera too."""
     ssim: str = "skimage-gaussian"
+    """Windows that lie in the image (skimage-gaussian) or reach beyond it into black (3dgs); or five scales
+    (ms-ssim)."""
     lpips: bool = True
+    """Compute LPIPS."""
     lpips_weights: str | None = None
+    """File of AlexNet weights; null: that of `bgs-bench weights path alexnet`."""
     sky: str = "in"
+    """out: no pixel counts that the data set's own sky mask says is sky; there is no LPIPS then."""
 
     def __post_init__(self) -> None:
         """Check the values; raises ``BenchError`` naming the setting, its value and what is accepted."""

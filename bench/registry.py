@@ -76,11 +76,15 @@ def register(kind: str, name: str, config: type[PluginConfig] = PluginConfig) ->
             places = [f"{plugin.__qualname__} in {where}" for plugin, where in ((known.cls, known.file), (cls, file))]
             raise BenchError(f"Two {kind} plugins are called '{name}': {' and '.join(places)}. Rename one of them.")
         summary = (inspect.getdoc(cls) or "").split("\n", 1)[0]
+        try:
+            node = config_node(config(name=name))
+        except BenchError as error:
+            raise ValueError(f"the defaults of {kind}={name} fail the config's own check: {error}") from error
         _plugins[kind, name] = Plugin(kind, name, cls, config, file, summary)
         ConfigStore.instance().store(
             group=kind,
             name=name,
-            node=config_node(config(name=name)),
+            node=node,
             package=f"{kind}.{name}" if kind in SEVERAL_AT_ONCE else kind,
         )
         return cls

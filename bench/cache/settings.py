@@ -13,27 +13,28 @@ from bench.weights.places import cache_root
 
 @dataclass
 class CacheConfig:
-    """Where depth maps, sky masks and trajectories are kept for later runs; can't change a result.
-
-    ``enabled``: use the cache, for plugins that are worth it (networks). ``all``: also for what takes a few hundredths
-    of a second a frame, other stereo and tracking; sweeps switch it on, so that their runs share it. ``folder``: where;
-    empty = ``$BGS_CACHE/frames``, else ``frames`` in the user's cache folder. ``limit_gb``: how much it may hold, in GB
-    of 1e9 bytes; what was not used for the longest time goes first.
-    """
+    """Where depth maps, sky masks and trajectories are stored for later runs; can't change a result."""
 
     enabled: bool = True
+    """Use the cache, for plugins that are worth it (networks)."""
     all: bool = False
+    """Also for what takes a few hundredths of a second per frame: other stereo, and tracking. Sweeps switch it on, so
+    that their runs share it."""
     folder: str = ""
+    """Where it is; empty: frames/ in $BGS_CACHE, else in the user's cache folder."""
     limit_gb: float = 20.0
+    """How much it may hold, in GB of 1e9 bytes; what was not used for the longest time goes first."""
+
+    def __post_init__(self) -> None:
+        if not self.limit_gb > 0:
+            raise BenchError(
+                f"cache.limit_gb={self.limit_gb} must be positive. cache.enabled=false switches the cache off."
+            )
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> CacheConfig:
-        """Settings from plain data, with an absolute folder; raises ``BenchError`` for a limit that is none."""
+        """Settings from plain data, with an absolute folder."""
         config = cls(**mapping)
-        if not config.limit_gb > 0:
-            raise BenchError(
-                f"cache.limit_gb={config.limit_gb} must be positive. cache.enabled=false switches the cache off."
-            )
         config.folder = str(Path(config.folder).expanduser().absolute() if config.folder else default_folder())
         return config
 

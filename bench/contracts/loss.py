@@ -26,9 +26,10 @@ from bench.supervision.target import Target
 
 @dataclass(frozen=True)
 class LossConfig(PluginConfig):
-    """``weight`` multiplies the term in the sum that mapping minimises."""
+    """What every loss term has; derive the term's own config from it."""
 
     weight: float = 1.0
+    """Factor of the term in the sum that mapping minimises; 0: not computed."""
 
 
 @dataclass

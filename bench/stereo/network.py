@@ -40,6 +40,19 @@ class NetworkConfig(PluginConfig):
     left_right_check_px: float = 0.0
     """Match the right image too, and drop disparities that differ by more than this many pixels; 0: no check."""
 
+    def __post_init__(self) -> None:
+        if not 0.05 <= self.scale <= 4:
+            raise BenchError(f"stereo.scale={self.scale} must be between 0.05 and 4; 0.5 is half the size.")
+        if self.tile_rows < 0 or self.tile_overlap < 0:
+            raise BenchError(
+                f"stereo.tile_rows={self.tile_rows} and stereo.tile_overlap={self.tile_overlap} must not be "
+                "negative; tile_rows=0 matches the image at once."
+            )
+        if self.left_right_check_px < 0:
+            raise BenchError(
+                f"stereo.left_right_check_px={self.left_right_check_px} must be 0 (no check) or a number of pixels."
+            )
+
 
 class StereoNetwork(StereoBackbone):
     """A network; an author who brings one in torch subclasses ``TorchStereo`` and others write ``match``."""
@@ -48,18 +61,7 @@ class StereoNetwork(StereoBackbone):
 
     def __init__(self, config: NetworkConfig, published: str = "") -> None:
         """``published`` is the manifest's name of the weights to use where ``config.weights`` is empty, or "" for a
-        network without weights. Raises ``BenchError`` for a wrong setting and for weights that are not there."""
-        if not 0.05 <= config.scale <= 4:
-            raise BenchError(f"stereo.scale={config.scale} must be between 0.05 and 4; 0.5 is half the size.")
-        if config.tile_rows < 0 or config.tile_overlap < 0:
-            raise BenchError(
-                f"stereo.tile_rows={config.tile_rows} and stereo.tile_overlap={config.tile_overlap} must not be "
-                "negative; tile_rows=0 matches the image at once."
-            )
-        if config.left_right_check_px < 0:
-            raise BenchError(
-                f"stereo.left_right_check_px={config.left_right_check_px} must be 0 (no check) or a number of pixels."
-            )
+        network without weights. Raises ``BenchError`` for weights that are not there."""
         self._settings = config
         self.weights_path = _weights_path(config.weights, published)
 

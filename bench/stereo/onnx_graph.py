@@ -7,18 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class StereoGraph:
-    """How to talk to an ONNX stereo network.
-
-    ``left``, ``right``, ``output`` are tensor names, or positions such as "0". ``stacked`` says how one input takes
-    both views: "" for two inputs, "channels" for (1, 6, H, W), "batch" for (2, 3, H, W); ``left`` then names that one.
-    ``layout`` is "nchw" or "nhwc". ``colours``: "unit" (RGB 0 to 1), "raw" (0 to 255), "signed" (-1 to 1), "imagenet"
-    (unit, less ImageNet's mean, by its standard deviation).
-    ``fit``: "resize" to the size that the file fixes, "pad" to it, "auto" to pad an image that fits and resize one that
-    does not. A file that leaves the size open gets images padded to multiples of ``pad_multiple`` on ``pad_side``.
-    ``unit``: a disparity of 1 in the output is one pixel of the fed image ("px") or the whole width ("width"); it is
-    multiplied by ``gain``, -1 for networks that give the (negative) flow.
-    ``published`` is the manifest's name of the weights, or "".
-    """
+    """How to talk to an ONNX stereo network: the settings of ``stereo=onnx`` (`bgs-bench list stereo onnx` says what
+    they mean), and ``published``, the manifest's name of the weights, or ""."""
 
     left: str = "0"
     right: str = "1"

@@ -21,18 +21,26 @@ _RATE_HZ = 10.0
 
 @dataclass(frozen=True)
 class FolderConfig(PluginConfig):
-    """Folders of PNG or JPEG images (sorted by name, numbered from 0); fx, fy, cx, cy in pixels; baseline in metres;
-    ``poses`` a KITTI or TUM file of the left camera, line i for image i; ``frames`` ``"a:b"`` or ``"a:b:step"``."""
+    """Where the images are, and the calibration of the rectified pair; all but the last two must be given."""
 
     left: str = field(default="", metadata={"path": True})
+    """Folder of the left images, PNG or JPEG, sorted by name and numbered from 0."""
     right: str = field(default="", metadata={"path": True})
+    """Folder of the right images."""
     fx: float = 0.0
+    """Focal length along x in pixels."""
     fy: float = 0.0
+    """Focal length along y in pixels."""
     cx: float = 0.0
+    """Principal point along x in pixels."""
     cy: float = 0.0
+    """Principal point along y in pixels."""
     baseline: float = 0.0
+    """Distance of the two cameras in metres."""
     poses: str | None = field(default=None, metadata={"path": True})
+    """Ground truth of the left camera, a KITTI or TUM file, line i for image i; null: none."""
     frames: str = ""
+    """Image numbers ``a:b`` or ``a:b:step``; empty: all."""
 
 
 @register("dataset", "folder", config=FolderConfig)

@@ -26,12 +26,19 @@ _RATE_HZ = 10.0
 
 @dataclass(frozen=True)
 class KittiConfig(PluginConfig):
-    """``root`` holds ``sequences/`` and ``poses/``; ``frames`` is ``"a:b"`` or ``"a:b:step"``, empty for all."""
+    """Which part of KITTI odometry, and by which pair of cameras."""
 
     root: str = field(default="", metadata={"path": True})
+    """Folder that holds ``sequences/`` and ``poses/``; must be given."""
     sequence: str = "06"
+    """Number of the sequence, 00 to 21."""
     frames: str = ""
+    """Frame numbers ``a:b`` or ``a:b:step``; empty: all."""
     camera: str = "color"
+    """color (image_2 and image_3) or gray (image_0 and image_1)."""
+
+    def __post_init__(self) -> None:
+        require_choice("dataset.camera", self.camera, _PAIRS)
 
 
 @register("dataset", "kitti", config=KittiConfig)
@@ -42,7 +49,7 @@ class Kitti(Dataset):
     """
 
     def __init__(self, config: KittiConfig) -> None:
-        left, right = _PAIRS[require_choice("dataset.camera", config.camera, _PAIRS)]
+        left, right = _PAIRS[config.camera]
         sequence = f"{int(config.sequence):02d}" if config.sequence.isdecimal() else config.sequence
         root = _existing_root(config.root)
         folder = _existing_sequence(root, sequence)

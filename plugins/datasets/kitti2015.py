@@ -28,13 +28,17 @@ _TYPICAL_BASELINE_M = 0.5327
 
 @dataclass(frozen=True)
 class Kitti2015Config(PluginConfig):
-    """``root`` holds ``image_2/`` and ``image_3/`` (or ``training/`` with them); ``frames`` is ``"a:b"`` or
-    ``"a:b:step"``, empty for all that are there. ``disparity``: occ (all pixels) or noc (those that both images see).
-    """
+    """Which pairs of KITTI Stereo 2015, and which of their true disparities."""
 
     root: str = field(default="", metadata={"path": True})
+    """Folder that holds ``image_2/`` and ``image_3/``, or ``training/`` with them; must be given."""
     frames: str = ""
+    """Pair numbers ``a:b`` or ``a:b:step``; empty: all that are there."""
     disparity: str = "occ"
+    """True disparities of all pixels (occ), or of those that both images see (noc)."""
+
+    def __post_init__(self) -> None:
+        require_choice("dataset.disparity", self.disparity, _DISPARITIES)
 
 
 @register("dataset", "kitti2015", config=Kitti2015Config)
@@ -48,7 +52,7 @@ class Kitti2015(Dataset):
     is_sequence = False
 
     def __init__(self, config: Kitti2015Config) -> None:
-        folder = _DISPARITIES[require_choice("dataset.disparity", config.disparity, _DISPARITIES)]
+        folder = _DISPARITIES[config.disparity]
         root = _folder_with_images(config.root)
         self._left, self._right, self._disparity = root / "image_2", root / "image_3", root / folder
         self.numbers = _choose(config.frames, self._left)

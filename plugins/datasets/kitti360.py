@@ -32,19 +32,26 @@ _WITHHELD = "0008"
 
 @dataclass(frozen=True)
 class Kitti360Config(PluginConfig):
-    """``root`` holds ``data_2d_raw/``, ``calibration/`` and, where downloaded, ``data_poses/`` and ``data_3d_raw/``."""
+    """Which part of KITTI-360, and what of it counts."""
 
     root: str = field(default="", metadata={"path": True})
+    """Folder that holds ``data_2d_raw/``, ``calibration/`` and, where downloaded, ``data_poses/`` and ``data_3d_raw/``;
+    must be given."""
     sequence: str = "0007"
+    """Number of the drive."""
     frames: str = ""
-    """Image numbers ``"a:b"`` or ``"a:b:step"``; empty for all."""
+    """Image numbers ``a:b`` or ``a:b:step``; empty: all."""
     first: int = 0
-    """Only the first so many of these frames, counted after those without a pose have been left out; 0 for all."""
+    """Only the first so many of these frames, counted after those without a pose have been left out; 0: all."""
     only_with_pose: bool = True
     """Leave out frames without a pose: about every tenth, where the car was slow, and the first. False keeps those that
     have a pose before and behind them, with a ground truth between the two."""
     uncurl: bool = True
     """Undo the car's motion during a turn of the LiDAR, as the data set's own tools do."""
+
+    def __post_init__(self) -> None:
+        if self.first < 0:
+            raise BenchError(f"dataset.first={self.first} is negative. Give a number of frames, or 0 for all.")
 
 
 @register("dataset", "kitti360", config=Kitti360Config)
@@ -56,8 +63,6 @@ class Kitti360(Dataset):
     """
 
     def __init__(self, config: Kitti360Config) -> None:
-        if config.first < 0:
-            raise BenchError(f"dataset.first={config.first} is negative. Give a number of frames, or 0 for all.")
         sequence = _sequence_number(config.sequence)
         root = _existing_root(config.root)
         drive = f"2013_05_28_drive_{sequence}_sync"

@@ -33,13 +33,18 @@ _TRUCK_SEEN_M = 200.0
 
 @dataclass(frozen=True)
 class StreetConfig(PluginConfig):
-    """Number of frames, image size in pixels, seed of the street, metres driven a frame; and what makes it harder."""
+    """Length, size and seed of the drive; and what makes it harder."""
 
     frames: int = 20
+    """Number of frames."""
     width: int = 640
+    """Width of the images in pixels."""
     height: int = 192
+    """Height of the images in pixels."""
     seed: int = 0
+    """Random seed from which the street follows; another one is another street."""
     speed_m: float = 1.0
+    """Metres driven per frame."""
     circuit_m: int = 0
     """Length in metres of a closed circuit, driven round and round, a multiple of 30; 0 is an open street."""
     repeated_facades: bool = False
@@ -50,6 +55,35 @@ class StreetConfig(PluginConfig):
     truck_frames: tuple[int, int] = (20, 50)
     """First and last frame in which the lorry stays alongside."""
 
+    def __post_init__(self) -> None:
+        if self.frames < 1:
+            raise BenchError(f"dataset.frames={self.frames}: the street needs at least 1 frame.")
+        for what, value, (low, high) in zip(("width", "height"), (self.width, self.height), _SIZES, strict=True):
+            if not low <= value <= high:
+                raise BenchError(f"dataset.{what}={value} is out of range; choose {low} to {high} pixels.")
+        if not 0.0 <= self.speed_m <= 20.0:
+            raise BenchError(f"dataset.speed_m={self.speed_m} is out of range; choose 0 to 20 metres per frame.")
+        if self.seed < 0:
+            raise BenchError(f"dataset.seed={self.seed} is negative; choose 0 or more.")
+        if not 0 <= self.truck_frames[0] <= self.truck_frames[1]:
+            raise BenchError(
+                f"dataset.truck_frames={list(self.truck_frames)} must be [first, last] with 0 <= first <= last."
+            )
+        self._check_circuit()
+
+    def _check_circuit(self) -> None:
+        low, high = _CIRCUITS_M
+        if self.circuit_m and not low <= self.circuit_m <= high:
+            raise BenchError(
+                f"dataset.circuit_m={self.circuit_m} is out of range; choose {low} to {high} metres, or 0."
+            )
+        if self.circuit_m % CHUNK_M:
+            nearest = round(CHUNK_M * max(round(self.circuit_m / CHUNK_M), low / CHUNK_M))
+            raise BenchError(
+                f"dataset.circuit_m={self.circuit_m} is no multiple of {CHUNK_M:.0f} metres, the length of a "
+                f"building block; choose {nearest}, for example."
+            )
+
 
 @register("dataset", "street", config=StreetConfig)
 class Street(Dataset):
@@ -59,16 +93,6 @@ class Street(Dataset):
     """
 
     def __init__(self, config: StreetConfig) -> None:
-        if config.frames < 1:
-            raise BenchError(f"dataset.frames={config.frames}: the street needs at least 1 frame.")
-        for what, value, (low, high) in zip(("width", "height"), (config.width, config.height), _SIZES, strict=True):
-            if not low <= value <= high:
-                raise BenchError(f"dataset.{what}={value} is out of range; choose {low} to {high} pixels.")
-        if not 0.0 <= config.speed_m <= 20.0:
-            raise BenchError(f"dataset.speed_m={config.speed_m} is out of range; choose 0 to 20 metres a frame.")
-        if config.seed < 0:
-            raise BenchError(f"dataset.seed={config.seed} is negative; choose 0 or more.")
-        _check_options(config)
         options = (("circuit", config.circuit_m > 0), ("repeated", config.repeated_facades), ("truck", config.truck))
         self.label = "-".join([f"street/{config.seed}", *(name for name, used in options if used)])
         self.numbers = tuple(range(config.frames))
@@ -147,22 +171,6 @@ class Street(Dataset):
             return 0.0, 0.0
         phase, wave = 2 * np.pi / _WANDER_WAVE_M * s, 2 * np.pi / _WANDER_WAVE_M
         return _WANDER_M * np.sin(phase), np.arctan(_WANDER_M * wave * np.cos(phase))
-
-
-def _check_options(config: StreetConfig) -> None:
-    low, high = _CIRCUITS_M
-    if config.circuit_m and not low <= config.circuit_m <= high:
-        raise BenchError(f"dataset.circuit_m={config.circuit_m} is out of range; choose {low} to {high} metres, or 0.")
-    if config.circuit_m % CHUNK_M:
-        nearest = round(CHUNK_M * max(round(config.circuit_m / CHUNK_M), low / CHUNK_M))
-        raise BenchError(
-            f"dataset.circuit_m={config.circuit_m} is no multiple of {CHUNK_M:.0f} metres, the length of the street's "
-            f"building blocks; choose {nearest}, for example."
-        )
-    if not 0 <= config.truck_frames[0] <= config.truck_frames[1]:
-        raise BenchError(
-            f"dataset.truck_frames={list(config.truck_frames)} must be [first, last] with 0 <= first <= last."
-        )
 
 
 def _rotation(axis: int, angle: float) -> Float:

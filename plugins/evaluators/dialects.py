@@ -24,9 +24,13 @@ VIEWS = ("own", "all")
 
 @dataclass(frozen=True)
 class DialectsConfig(PluginConfig):
-    """Which left views are scored: "own" = those that each dialect chooses, "all" = every one under each of them."""
+    """Which views are scored."""
 
     views: str = "own"
+    """own = the left views that each dialect chooses, all = every left view under each of them."""
+
+    def __post_init__(self) -> None:
+        require_choice("evaluator.dialects.views", self.views, VIEWS)
 
 
 @register("evaluator", "dialects", config=DialectsConfig)
@@ -34,7 +38,6 @@ class DialectsEvaluator(Evaluator):
     """PSNR, SSIM, LPIPS, Depth-L1 and ATE by the rules of SplaTAM, MonoGS and LoopSplat."""
 
     def __init__(self, config: DialectsConfig) -> None:
-        require_choice("evaluator.dialects.views", config.views, VIEWS)
         self.config = config
 
     def evaluate(self, run: SavedRun) -> dict[str, Any]:

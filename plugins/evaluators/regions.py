@@ -24,9 +24,17 @@ Scores = dict[str, dict[str, float]]
 
 @dataclass(frozen=True)
 class RegionsConfig(PluginConfig):
-    """Edges of the distance bins in metres, increasing."""
+    """The distance bins."""
 
     edges_m: tuple[float, ...] = (0.0, 10.0, 30.0, 80.0)
+    """Their edges in metres, increasing."""
+
+    def __post_init__(self) -> None:
+        edges = self.edges_m
+        if len(edges) < 2 or edges[0] < 0 or any(low >= high for low, high in pairwise(edges)):
+            raise BenchError(
+                f"evaluator.regions.edges_m={list(edges)} must be two or more increasing distances (metres) from 0."
+            )
 
 
 @register("evaluator", "regions", config=RegionsConfig)
@@ -34,11 +42,6 @@ class RegionsEvaluator(Evaluator):
     """PSNR and Depth-L1 in distance bins, PSNR in the sky and outside of it, of left views."""
 
     def __init__(self, config: RegionsConfig) -> None:
-        edges = config.edges_m
-        if len(edges) < 2 or edges[0] < 0 or any(low >= high for low, high in pairwise(edges)):
-            raise BenchError(
-                f"evaluator.regions.edges_m={list(edges)} must be two or more increasing distances (metres) from 0."
-            )
         self.config = config
 
     def evaluate(self, run: SavedRun) -> dict[str, Any]:

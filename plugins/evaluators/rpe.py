@@ -15,9 +15,14 @@ from bench.registry import PluginConfig, register
 
 @dataclass(frozen=True)
 class RpeConfig(PluginConfig):
-    """``frame_distance``: how many frames of the run lie between the two poses of a pair; 1 = consecutive."""
+    """Which poses make a pair."""
 
     frame_distance: int = 1
+    """How many frames of the run lie between the two poses of a pair; 1: consecutive."""
+
+    def __post_init__(self) -> None:
+        if self.frame_distance < 1:
+            raise BenchError(f"evaluator.rpe.frame_distance={self.frame_distance} must be 1 or more.")
 
 
 @register("evaluator", "rpe", config=RpeConfig)
@@ -25,8 +30,6 @@ class RpeEvaluator(Evaluator):
     """Relative pose error of consecutive frames, metres and degrees; lost frames break pairs."""
 
     def __init__(self, config: RpeConfig) -> None:
-        if config.frame_distance < 1:
-            raise BenchError(f"evaluator.rpe.frame_distance={config.frame_distance} must be 1 or more.")
         self._config = config
 
     def evaluate(self, run: SavedRun) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.contracts.keyframer import Keyframer
-from bench.errors import BenchError
+from bench.errors import BenchError, require_least
 from bench.geometry import se3
 from bench.io.images import grey
 from bench.registry import PluginConfig, register
@@ -40,7 +40,18 @@ class CovisibilityConfig(PluginConfig):
     marginalise_iou: float = 0.04
     """A keyframe leaves the window when its IoU with the newest one falls below this: on KITTI 06, five frames back."""
     features: int = 1000
-    """ORB keypoints a frame, where the tracker gives no landmarks."""
+    """ORB keypoints per frame, where the tracker gives no landmarks."""
+
+    def __post_init__(self) -> None:
+        for key in ("iou_threshold", "marginalise_iou"):
+            if not 0.0 <= getattr(self, key) <= 1.0:
+                raise BenchError(f"keyframer.{key}={getattr(self, key)} must lie between 0 and 1.")
+        for key in ("motion_factor", "min_translation_m", "min_rotation_deg"):
+            if not getattr(self, key) >= 0.0:
+                raise BenchError(f"keyframer.{key}={getattr(self, key)} must not be negative.")
+        if self.window_size < 1:
+            raise BenchError(f"keyframer.window_size={self.window_size} must be at least 1.")
+        require_least("keyframer", self, features=100)
 
 
 @register("keyframer", "covisibility", config=CovisibilityConfig)
@@ -48,7 +59,6 @@ class Covisibility(Keyframer):
     """Keyframe when the ORB covisibility with the last keyframe is low, or when the motion jumps (the paper's rule)."""
 
     def __init__(self, config: CovisibilityConfig) -> None:
-        _check(config)
         self._config = config
         self._extractor = OrbExtractor(config.features)
         self._window: list[tuple[int, Sighting]] = []
@@ -122,16 +132,3 @@ def covisibility(a: Sighting, b: Sighting) -> float:
         common = len(match_descriptors(a.view(np.uint64), b.view(np.uint64), _RATIO)[0])
     union = len(a) + len(b) - common
     return common / union if union else 0.0
-
-
-def _check(config: CovisibilityConfig) -> None:
-    for key in ("iou_threshold", "marginalise_iou"):
-        if not 0.0 <= getattr(config, key) <= 1.0:
-            raise BenchError(f"keyframer.{key}={getattr(config, key)} must lie between 0 and 1.")
-    for key in ("motion_factor", "min_translation_m", "min_rotation_deg"):
-        if not getattr(config, key) >= 0.0:
-            raise BenchError(f"keyframer.{key}={getattr(config, key)} must not be negative.")
-    if config.window_size < 1:
-        raise BenchError(f"keyframer.window_size={config.window_size} must be at least 1.")
-    if config.features < 100:
-        raise BenchError(f"keyframer.features={config.features} is too small; the least is 100.")

@@ -16,25 +16,25 @@ from bench.supervision.target import Target
 
 @dataclass(frozen=True)
 class GeoConfig(LossConfig):
-    """``stride`` 2 takes a quarter of the pixels on a regular grid (the paper's S), 1 takes all ("with ds").
-    ``edge_weighted`` multiplies by g = exp(-|grad I|). ``rendered_depth``: "raw" = sum d a T as in the paper's Eq. 3,
-    "normalized" = divided by alpha."""
+    """Which pixels count, how much, and which rendered depth is compared."""
 
     weight: float = 0.1
     stride: int = 2
+    """2 takes a quarter of the pixels on a regular grid (the paper's S), 1 takes all ("with ds")."""
     edge_weighted: bool = True
+    """Multiply by g = exp(-|grad I|)."""
     rendered_depth: str = "raw"
+    """raw = sum d a T as in the paper's Eq. 3, normalized = divided by alpha."""
+
+    def __post_init__(self) -> None:
+        if self.stride < 1:
+            raise BenchError(f"loss.geo.stride={self.stride} must be at least 1 (1 = every pixel, 2 = a quarter).")
+        require_choice("loss.geo.rendered_depth", self.rendered_depth, ["raw", "normalized"])
 
 
 @register("loss", "geo", config=GeoConfig)
 class GeoLoss(LossTerm):
     """Mean over a pixel grid of g log(1 + M |D - D_rendered|) (paper, sampled geometric loss)."""
-
-    def __init__(self, config: GeoConfig) -> None:
-        super().__init__(config)
-        if config.stride < 1:
-            raise BenchError(f"loss.geo.stride={config.stride} must be at least 1 (1 = every pixel, 2 = a quarter).")
-        require_choice("loss.geo.rendered_depth", config.rendered_depth, ["raw", "normalized"])
 
     def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
         """Value, and the gradients (H, W) by depth and, for normalized depth, by alpha."""

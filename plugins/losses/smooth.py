@@ -19,20 +19,20 @@ from plugins.losses.normal import COVERED
 
 @dataclass(frozen=True)
 class SmoothConfig(LossConfig):
-    """``distances``: the neighbours r over which the paper sums."""
+    """Which neighbours a pixel is compared with."""
 
     weight: float = 0.5
     distances: tuple[int, ...] = (1,)
+    """The neighbours r over which the paper sums, in pixels."""
+
+    def __post_init__(self) -> None:
+        if not self.distances or min(self.distances) < 1:
+            raise BenchError(f"loss.smooth.distances={list(self.distances)} must hold positive pixel distances.")
 
 
 @register("loss", "smooth", config=SmoothConfig)
 class SmoothLoss(TorchLoss):
     """Norm of the differences of rendered normals to the neighbours below and to the right, over valid depth values."""
-
-    def __init__(self, config: SmoothConfig) -> None:
-        super().__init__(config)
-        if not config.distances or min(config.distances) < 1:
-            raise BenchError(f"loss.smooth.distances={list(config.distances)} must hold positive pixel distances.")
 
     def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
         """Value, and the gradient by depth (H, W); alpha only says where the depth counts."""

@@ -17,9 +17,14 @@ from bench.types import PinholeView
 
 @dataclass(frozen=True)
 class CpuRasterizerConfig(PluginConfig):
-    """``threads``: 0 = all cores. The result is the same, bit for bit, for any number."""
+    """How many cores render."""
 
     threads: int = 0
+    """Threads; 0: all cores. The result is the same, bit for bit, for any number."""
+
+    def __post_init__(self) -> None:
+        if self.threads < 0:
+            raise BenchError(f"rasterizer.threads={self.threads} must be 0 (all cores) or a positive number.")
 
 
 @register("rasterizer", "cpu", config=CpuRasterizerConfig)
@@ -29,8 +34,6 @@ class CpuRasterizer(Rasterizer):
     def __init__(self, config: CpuRasterizerConfig) -> None:
         import bench._native as _native
 
-        if config.threads < 0:
-            raise BenchError(f"rasterizer.threads={config.threads} must be 0 (all cores) or a positive number.")
         self.device = torch.device("cpu")
         self._native = _native
         _native.set_threads(config.threads or torch.get_num_threads())

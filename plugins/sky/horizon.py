@@ -30,21 +30,26 @@ _BRIGHTEST = 1.25
 
 @dataclass(frozen=True)
 class HorizonConfig(PluginConfig):
-    """``min_luma``: of a grey or white sky, in grey levels; ``min_blue``: (blue - red) / brightest, of a blue one.
-
-    ``max_step``: largest change between neighbours where the search begins, in grey levels. ``max_disparity`` in
-    pixels: what is nearer is no sky, where a share of more than ``max_near`` of the pixels around is near (blue sky, in
-    which stereo matches wrongly, is exempt). ``min_relative`` and ``max_tint``: how bright, relative to the sky around,
-    and how different in tint, in grey levels, a pixel of the sky may be.
-    """
+    """What counts as bright, blue, smooth and near."""
 
     min_luma: float = 110.0
+    """Least brightness of a grey or white sky, in grey levels."""
     min_blue: float = 0.30
+    """Least (blue - red) / brightest of a blue sky."""
     max_step: float = 20.0
+    """Largest change between neighbours where the search begins, in grey levels."""
     max_disparity: float = 3.0
+    """In pixels: what is nearer is no sky (but for blue sky, in which stereo matches wrongly) ..."""
     max_near: float = 0.5
+    """... where more than this share of the pixels around is near."""
     min_relative: float = 0.88
+    """Least brightness of a pixel relative to the sky around it."""
     max_tint: float = 45.0
+    """Largest difference of its tint from that of the sky around it, in grey levels."""
+
+    def __post_init__(self) -> None:
+        if self.max_disparity <= 0:
+            raise BenchError(f"sky.max_disparity={self.max_disparity} must be positive, for example 3.")
 
 
 @register("sky", "horizon", config=HorizonConfig)
@@ -52,8 +57,6 @@ class Horizon(SkySegmenter):
     """Sky by brightness, colour, smoothness and stereo; needs no weights."""
 
     def __init__(self, config: HorizonConfig) -> None:
-        if config.max_disparity <= 0:
-            raise BenchError(f"sky.max_disparity={config.max_disparity} must be positive, for example 3.")
         self._config = config
 
     def segment(self, image: Image, depth: DepthMap, camera: StereoCamera) -> Mask:

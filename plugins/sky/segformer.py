@@ -25,23 +25,32 @@ from bench.weights import resolve
 
 @dataclass(frozen=True)
 class SegformerConfig(PluginConfig):
-    """``weights``: an ONNX file, or a folder as Hugging Face has it (``config.json`` and the weights), which needs the
-    package ``transformers``; empty: that of ``bgs-bench weights path segformer_b5``.
-
-    ``input_name``, ``output_name``: of an ONNX file, empty for its only input and its first output. ``size``: (height,
-    width) to feed the image at, (0, 0) for what an ONNX file demands, else the image's own. ``sky_class``: number of
-    the class sky, 10 in Cityscapes; -1: what a folder's ``config.json`` calls sky, else 10. ``device`` (of a folder):
-    auto, cpu or cuda. ``min_depth_m`` and ``max_near``: as of ``sky=u2net``.
-    """
+    """The network, how to feed it, and what stereo drops from its mask."""
 
     weights: str = field(default="", metadata={"path": True})
+    """An ONNX file, or a folder as Hugging Face has it (config.json and the weights), which needs the package
+    transformers; empty: that of `bgs-bench weights path segformer_b5`."""
     input_name: str = ""
+    """Input of an ONNX file; empty: its only one."""
     output_name: str = ""
+    """Output of an ONNX file; empty: its first one."""
     size: tuple[int, int] = (0, 0)
+    """[height,width] to feed the image at; [0,0]: what an ONNX file demands, else the image's own."""
     sky_class: int = -1
+    """Number of the class sky, 10 in Cityscapes; -1: what a folder's config.json calls sky, else 10."""
     device: str = "auto"
+    """Where the network of a folder runs: auto, cpu or cuda."""
     min_depth_m: float = 30.0
+    """A connected part of the mask is dropped when too much of it is nearer than so many metres; 0: never ..."""
     max_near: float = 0.8
+    """... and this is the share of its known depths that is too much."""
+
+    def __post_init__(self) -> None:
+        if min(self.size) < 0 or (0 in self.size and any(self.size)):
+            raise BenchError(f"sky.size={list(self.size)} is no size; give [height,width], or [0,0] for the image's.")
+        if self.sky_class < -1:
+            raise BenchError(f"sky.sky_class={self.sky_class} is no class; give a number, 10 for Cityscapes, or -1.")
+        NearLimit(self.min_depth_m, self.max_near)  # checks both
 
 
 @register("sky", "segformer", config=SegformerConfig)
@@ -51,10 +60,6 @@ class Segformer(SkySegmenter):
     worth_caching = True
 
     def __init__(self, config: SegformerConfig) -> None:
-        if min(config.size) < 0 or (0 in config.size and any(config.size)):
-            raise BenchError(f"sky.size={list(config.size)} is no size; give [height,width], or [0,0] for the image's.")
-        if config.sky_class < -1:
-            raise BenchError(f"sky.sky_class={config.sky_class} is no class; give a number, 10 for Cityscapes, or -1.")
         self._limit = NearLimit(config.min_depth_m, config.max_near)
         path = Path(config.weights) if config.weights else resolve("segformer_b5")
         self._network, sky_class = _network(path, config)

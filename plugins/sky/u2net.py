@@ -21,16 +21,21 @@ _SIZE = (384, 384)
 
 @dataclass(frozen=True)
 class U2netConfig(PluginConfig):
-    """``weights``: the ONNX file; empty: that of ``bgs-bench weights path skyseg_u2netp``.
-
-    ``threshold``: smallest probability of sky. The network takes bright walls for sky, so a connected part of the mask
-    is dropped when stereo finds more than the share ``max_near`` of it nearer than ``min_depth_m`` metres (0: never).
-    """
+    """The network takes bright walls for sky, so what stereo finds near is dropped from the mask."""
 
     weights: str = field(default="", metadata={"path": True})
+    """The ONNX file; empty: that of `bgs-bench weights path skyseg_u2netp`."""
     threshold: float = 0.5
+    """Smallest probability of sky."""
     min_depth_m: float = 30.0
+    """A connected part of the mask is dropped when too much of it is nearer than so many metres; 0: never ..."""
     max_near: float = 0.8
+    """... and this is the share of its known depths that is too much."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.threshold < 1.0:
+            raise BenchError(f"sky.threshold={self.threshold} is no probability between 0 and 1, for example 0.5.")
+        NearLimit(self.min_depth_m, self.max_near)  # checks both
 
 
 @register("sky", "u2net", config=U2netConfig)
@@ -40,8 +45,6 @@ class U2net(SkySegmenter):
     worth_caching = True
 
     def __init__(self, config: U2netConfig) -> None:
-        if not 0.0 < config.threshold < 1.0:
-            raise BenchError(f"sky.threshold={config.threshold} is no probability between 0 and 1, for example 0.5.")
         self._limit = NearLimit(config.min_depth_m, config.max_near)
         self._threshold = config.threshold
         self._network = OnnxNetwork(Path(config.weights) if config.weights else resolve("skyseg_u2netp"), "sky")

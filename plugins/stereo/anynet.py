@@ -16,9 +16,14 @@ from bench.stereo.torch_network import TorchStereo
 
 @dataclass(frozen=True)
 class AnyNetConfig(NetworkConfig):
-    """``trained_on`` chooses between the published checkpoints, kitti2015 and kitti2012, where ``weights`` is empty."""
+    """Settings of every network, and the published checkpoint."""
 
     trained_on: str = "kitti2015"
+    """Published checkpoint to use where weights is empty: kitti2015 or kitti2012."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_choice("stereo.trained_on", self.trained_on, ("kitti2015", "kitti2012"))
 
 
 @register("stereo", "anynet", config=AnyNetConfig)
@@ -28,7 +33,6 @@ class AnyNetStereo(TorchStereo):
     pad_multiple = 16
 
     def __init__(self, config: AnyNetConfig) -> None:
-        require_choice("stereo.trained_on", config.trained_on, ("kitti2015", "kitti2012"))
         super().__init__(config, published=f"anynet_{config.trained_on}")
 
     def load(self) -> nn.Module:

@@ -31,23 +31,61 @@ _COLOURS = {
 
 @dataclass(frozen=True)
 class OnnxConfig(NetworkConfig):
-    """``weights`` is the ONNX file. ``preset`` says how to talk to it; every other setting here replaces one of the
-    preset's where it is given. Their meaning is that of the fields of ``StereoGraph``."""
+    """How to talk to the file. Those that are null are as the preset says; ``StereoGraph`` has the same fields."""
 
     preset: str = "generic"
+    """What the file is made by: generic, nvtiny, left_right_disp or stereo_matching."""
     left: str | None = None
+    """Name of the left image's input, or its position such as "0"."""
     right: str | None = None
+    """Name of the right image's input, or its position."""
     output: str | None = None
+    """Name of the disparity's output, or its position."""
     stacked: str | None = None
+    """How one input (named by left) takes both views: channels for (1, 6, H, W), batch for (2, 3, H, W); "": there are
+    two inputs."""
     layout: str | None = None
+    """nchw or nhwc."""
     colours: str | None = None
+    """unit (RGB 0 to 1), raw (0 to 255), signed (-1 to 1) or imagenet (unit, less ImageNet's mean, by its standard
+    deviation)."""
     fit: str | None = None
+    """resize to the size that the file fixes, pad to it, or auto: pad an image that fits and resize one that does
+    not."""
     pad_multiple: int | None = None
+    """A file that leaves the size open gets images padded to multiples of this."""
     pad_side: str | None = None
+    """Where padding goes: top_right, bottom_right or centred."""
     unit: str | None = None
+    """A disparity of 1 in the output is one pixel of the fed image (px) or its whole width (width)."""
     gain: float | None = None
+    """Factor of the output, -1 for networks that give the (negative) flow."""
     threads: int = 0
     """CPU threads; 0: as many as torch has been given."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.dtype != "float32":
+            raise BenchError(f"stereo.dtype={self.dtype}: an ONNX file has its own number format; leave dtype out.")
+        self.graph()
+
+    def graph(self) -> StereoGraph:
+        """The preset with the settings that were given; raises ``BenchError`` for a wrong one."""
+        preset = PRESETS[require_choice("stereo.preset", self.preset, PRESETS)]
+        given: dict[str, Any] = {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(StereoGraph)
+            if getattr(self, field.name, None) is not None
+        }
+        for name, accepted in CHOICES.items():
+            if name in given:
+                require_choice(f"stereo.{name}", given[name], accepted)
+        graph = dataclasses.replace(preset, **given)
+        if graph.gain == 0 or graph.pad_multiple < 1:
+            raise BenchError(
+                f"stereo.gain={graph.gain} must not be 0, and stereo.pad_multiple={graph.pad_multiple} not be below 1."
+            )
+        return graph
 
 
 @register("stereo", "onnx", config=OnnxConfig)
@@ -55,14 +93,12 @@ class OnnxStereo(StereoNetwork):
     """Any stereo network in an ONNX file (stereo.weights=FILE), described by a preset and settings."""
 
     def __init__(self, config: OnnxConfig) -> None:
-        graph = _graph(config)
+        graph = config.graph()
         if not config.weights and not graph.published:
             raise BenchError(
                 "stereo=onnx needs the network's file: give stereo.weights=FILE.onnx, and stereo.preset as one of "
                 f"{', '.join(PRESETS)}."
             )
-        if config.dtype != "float32":
-            raise BenchError(f"stereo.dtype={config.dtype}: an ONNX file has its own number format; leave dtype out.")
         super().__init__(config, graph.published)
         assert self.weights_path is not None
         self._graph, self._path = graph, self.weights_path
@@ -149,22 +185,3 @@ class OnnxStereo(StereoNetwork):
             )
         fixed = [side for side in sides if isinstance(side, int) and side > 0]
         return (fixed[0], fixed[1]) if len(fixed) == 2 else None
-
-
-def _graph(config: OnnxConfig) -> StereoGraph:
-    """The preset with the settings that were given; raises ``BenchError`` for a wrong one."""
-    preset = PRESETS[require_choice("stereo.preset", config.preset, PRESETS)]
-    given: dict[str, Any] = {
-        field.name: getattr(config, field.name)
-        for field in dataclasses.fields(StereoGraph)
-        if getattr(config, field.name, None) is not None
-    }
-    for name, accepted in CHOICES.items():
-        if name in given:
-            require_choice(f"stereo.{name}", given[name], accepted)
-    graph = dataclasses.replace(preset, **given)
-    if graph.gain == 0 or graph.pad_multiple < 1:
-        raise BenchError(
-            f"stereo.gain={graph.gain} must not be 0, and stereo.pad_multiple={graph.pad_multiple} not be below 1."
-        )
-    return graph

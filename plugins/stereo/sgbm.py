@@ -26,24 +26,49 @@ _FRACTIONS = np.float32(16.0)
 
 @dataclass(frozen=True)
 class SgbmConfig(PluginConfig):
-    """``p1`` and ``p2`` are smoothness penalties for block_size^2 and one channel; ``uniqueness`` is in percent;
-    ``speckle_size`` in pixels, 0 for no filter; ``lr_max_diff`` in pixels.
-
-    ``full_check`` matches the right image too instead of reading its disparities off the left's costs. Measured: twice
-    the time, 40 % fewer outliers, 5 % fewer pixels.
-    """
+    """OpenCV's settings, under plainer names."""
 
     num_disparities: int = 96
+    """Disparities searched, from 0; a multiple of 16."""
     block_size: int = 5
+    """Side of the matched block in pixels, odd."""
     p1: int = 8
+    """Penalty for a disparity step of one pixel, per pixel of the block and channel."""
     p2: int = 32
+    """Penalty for a larger step, per pixel of the block and channel."""
     uniqueness: int = 5
+    """By how many percent the best cost must beat the second best."""
     speckle_size: int = 200
+    """Connected patches of up to so many pixels are dropped; 0: none."""
     speckle_range: int = 1
+    """Largest disparity step in pixels within such a patch."""
     lr_max_diff: int = 1
+    """By how many pixels the left and the right disparity may differ."""
     mode: str = "3way"
+    """Directions that are summed over: 3way, sgbm (5), hh (8) or hh4 (4)."""
     full_check: bool = False
+    """Match the right image too, instead of reading its disparities off the left's costs. Measured: twice the time,
+    40 % fewer outliers, 5 % fewer pixels."""
     color: bool = False
+    """Match colours, not grey values."""
+
+    def __post_init__(self) -> None:
+        require_choice("stereo.mode", self.mode, _MODES)
+        n = self.num_disparities
+        if n < 16 or n % 16:
+            raise BenchError(
+                f"stereo.num_disparities={n} must be a positive multiple of 16, for example "
+                f"{max(16, (n + 15) // 16 * 16)}."
+            )
+        if self.block_size < 1 or self.block_size % 2 == 0:
+            raise BenchError(f"stereo.block_size={self.block_size} must be odd, for example 5.")
+        if not 0 < self.p1 < self.p2:
+            raise BenchError(
+                f"stereo.p1={self.p1} and stereo.p2={self.p2}: 0 < p1 < p2 is needed, for example 8 and 32."
+            )
+        if self.lr_max_diff < 1:
+            # OpenCV silently takes 1 for it.
+            raise BenchError(f"stereo.lr_max_diff={self.lr_max_diff} must be at least 1 pixel.")
 
 
 @register("stereo", "sgbm", config=SgbmConfig)
@@ -51,28 +76,12 @@ class Sgbm(StereoBackbone):
     """OpenCV semi-global matching: sub-pixel, left-right checked, holes stay unknown."""
 
     def __init__(self, config: SgbmConfig) -> None:
-        mode = _MODES[require_choice("stereo.mode", config.mode, _MODES)]
-        n = config.num_disparities
-        if n < 16 or n % 16:
-            raise BenchError(
-                f"stereo.num_disparities={n} must be a positive multiple of 16, for example "
-                f"{max(16, (n + 15) // 16 * 16)}."
-            )
-        if config.block_size < 1 or config.block_size % 2 == 0:
-            raise BenchError(f"stereo.block_size={config.block_size} must be odd, for example 5.")
-        if not 0 < config.p1 < config.p2:
-            raise BenchError(
-                f"stereo.p1={config.p1} and stereo.p2={config.p2}: 0 < p1 < p2 is needed, for example 8 and 32."
-            )
-        if config.lr_max_diff < 1:
-            # OpenCV silently takes 1 for it.
-            raise BenchError(f"stereo.lr_max_diff={config.lr_max_diff} must be at least 1 pixel.")
         channels = 3 if config.color else 1
         area = channels * config.block_size**2
         self._config = config
         self._matcher = cv2.StereoSGBM.create(
             minDisparity=0,
-            numDisparities=n,
+            numDisparities=config.num_disparities,
             blockSize=config.block_size,
             P1=config.p1 * area,
             P2=config.p2 * area,
@@ -81,7 +90,7 @@ class Sgbm(StereoBackbone):
             uniquenessRatio=config.uniqueness,
             speckleWindowSize=config.speckle_size,
             speckleRange=config.speckle_range,
-            mode=mode,
+            mode=_MODES[config.mode],
         )
 
     def disparity(self, left: Image, right: Image) -> Map:

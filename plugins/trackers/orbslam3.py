@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.contracts.dataset import Dataset
-from bench.errors import BenchError
+from bench.errors import BenchError, require_least
 from bench.peers.cached_vocabulary import dbow2_vocabulary_of
 from bench.peers.tracker import PeerLimits, PeerTracker
 from bench.registry import PluginConfig, register
@@ -23,8 +23,11 @@ class OrbSlam3Config(PluginConfig):
     """ORB-SLAM3's settings for KITTI 04-12, but for th_depth, which is that of its other stereo examples."""
 
     features: int = 2000
+    """ORB keypoints per image."""
     scale_factor: float = 1.2
+    """Size of an octave of the image pyramid relative to the next."""
     octaves: int = 8
+    """Levels of the image pyramid."""
     fast_threshold: int = 12
     """Least FAST contrast, grey values 0-255 ..."""
     fast_threshold_low: int = 7
@@ -43,13 +46,25 @@ class OrbSlam3Config(PluginConfig):
     restarts: int = 3
     """After so many crashes and one more, all further frames are lost."""
 
+    def __post_init__(self) -> None:
+        require_least("tracker", self, features=100, octaves=1, fast_threshold_low=1, restarts=0)
+        if self.fast_threshold < self.fast_threshold_low:
+            raise BenchError(
+                f"tracker.fast_threshold={self.fast_threshold} is below tracker.fast_threshold_low="
+                f"{self.fast_threshold_low}; 12 and 7 are usual."
+            )
+        if not self.scale_factor > 1:
+            raise BenchError(f"tracker.scale_factor={self.scale_factor} must be above 1; 1.2 is usual.")
+        for key in ("th_depth", "frame_rate_hz", "start_timeout_s", "timeout_s"):
+            if not getattr(self, key) > 0:
+                raise BenchError(f"tracker.{key}={getattr(self, key)} must be above 0.")
+
 
 @register("tracker", "orbslam3", config=OrbSlam3Config)
 class OrbSlam3(PeerTracker):
     """Real ORB-SLAM3 in its own process, as peer of stereo_orb; not deterministic, so take the median of 3 runs."""
 
     def __init__(self, config: OrbSlam3Config) -> None:
-        _check(config)
         self._config = config
         limits = PeerLimits(config.start_timeout_s, config.timeout_s, config.restarts)
         super().__init__("orbslam3", [sys.executable, "-P", "-m", "plugins.trackers.orbslam3_process"], limits)
@@ -104,19 +119,3 @@ def _check_dbow2(path: Path, by: str) -> None:
         raise BenchError(f"{by}={path} can't be read ({error.strerror}). {advice}") from error
     if len(words) != 4 or not all(word.isdigit() for word in words):
         raise BenchError(f"{by}={path} is no DBoW2 text vocabulary: its first line is not four whole numbers. {advice}")
-
-
-def _check(config: OrbSlam3Config) -> None:
-    for key, least in {"features": 100, "octaves": 1, "fast_threshold_low": 1, "restarts": 0}.items():
-        if getattr(config, key) < least:
-            raise BenchError(f"tracker.{key}={getattr(config, key)} is too small; the least is {least}.")
-    if config.fast_threshold < config.fast_threshold_low:
-        raise BenchError(
-            f"tracker.fast_threshold={config.fast_threshold} is below tracker.fast_threshold_low="
-            f"{config.fast_threshold_low}; 12 and 7 are usual."
-        )
-    if not config.scale_factor > 1:
-        raise BenchError(f"tracker.scale_factor={config.scale_factor} must be above 1; 1.2 is usual.")
-    for key in ("th_depth", "frame_rate_hz", "start_timeout_s", "timeout_s"):
-        if not getattr(config, key) > 0:
-            raise BenchError(f"tracker.{key}={getattr(config, key)} must be above 0.")

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
-from bench.errors import BenchError
+from bench.errors import BenchError, require_least
 from bench.io.images import grey
 from bench.registry import PluginConfig, register
 from bench.tracking.loops import vocabulary
@@ -25,9 +25,11 @@ class StereoOrbConfig(PluginConfig):
     """Settings of the tracker. The defaults are tuned on car-borne stereo at 10 Hz and about 1240 x 370 pixels."""
 
     features: int = 2000
-    """ORB keypoints an image, after bucketing."""
+    """ORB keypoints per image, after bucketing."""
     octaves: int = 8
+    """Levels of the image pyramid."""
     scale_factor: float = 1.2
+    """Size of an octave of the image pyramid relative to the next."""
     fast_threshold: int = 7
     """Least FAST contrast, grey values 0-255; lower finds corners in dim places, higher is faster."""
     max_depth_baselines: float = 100.0
@@ -57,6 +59,18 @@ class StereoOrbConfig(PluginConfig):
     vocabulary: str = field(default="", metadata={"path": True})
     """A file of `bgs-bench vocabulary`; empty = train one on the first places of each run."""
     loops: LoopSettings = field(default_factory=LoopSettings)
+    """When two places count as the same."""
+
+    def __post_init__(self) -> None:
+        require_least("tracker", self, features=100, octaves=1, fast_threshold=1, free_keyframes=1, fixed_keyframes=0)
+        require_least("tracker", self, min_inliers=6, min_new_map_points=6, bridge_frames=0)
+        if not 1 < self.scale_factor <= 2:
+            raise BenchError(f"tracker.scale_factor={self.scale_factor} must be above 1 and at most 2; 1.2 is usual.")
+        if self.fast_threshold > 254:
+            raise BenchError(f"tracker.fast_threshold={self.fast_threshold} must be below 255; 7 is usual.")
+        for key in ("max_depth_baselines", "stereo_depth_baselines"):
+            if not getattr(self, key) > 0:
+                raise BenchError(f"tracker.{key}={getattr(self, key)} must be above 0.")
 
 
 @register("tracker", "stereo_orb", config=StereoOrbConfig)
@@ -66,7 +80,6 @@ class StereoOrb(Tracker):
     worth_caching = True
 
     def __init__(self, config: StereoOrbConfig) -> None:
-        _check(config)
         if config.loop_closure:
             import_gtsam()
         self._config = config
@@ -144,27 +157,3 @@ class StereoOrb(Tracker):
         assert self._odometry is not None
         anchor = np.eye(4) if found.keyframe < 0 else self._odometry.keyframe_pose(found.keyframe)
         return anchor @ found.T_keyframe_cam
-
-
-def _check(config: StereoOrbConfig) -> None:
-    least = {
-        "features": 100,
-        "octaves": 1,
-        "fast_threshold": 1,
-        "free_keyframes": 1,
-        "fixed_keyframes": 0,
-        "min_inliers": 6,
-        "min_new_map_points": 6,
-        "bridge_frames": 0,
-    }
-    for key, value in least.items():
-        if getattr(config, key) < value:
-            raise BenchError(f"tracker.{key}={getattr(config, key)} is too small; the least is {value}.")
-    if not 1 < config.scale_factor <= 2:
-        raise BenchError(f"tracker.scale_factor={config.scale_factor} must be above 1 and at most 2; 1.2 is usual.")
-    if config.fast_threshold > 254:
-        raise BenchError(f"tracker.fast_threshold={config.fast_threshold} must be below 255; 7 is usual.")
-    for key in ("max_depth_baselines", "stereo_depth_baselines"):
-        if not getattr(config, key) > 0:
-            raise BenchError(f"tracker.{key}={getattr(config, key)} must be above 0.")
-    config.loops.check("tracker.loops")

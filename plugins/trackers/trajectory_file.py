@@ -24,14 +24,22 @@ _FEW = 0.5
 
 @dataclass(frozen=True)
 class TrajectoryFileConfig(PluginConfig):
-    """``path`` of the file; ``format`` is "kitti" (12 numbers a line), "tum" (8) or "auto" (by their count)."""
+    """The file, its format, and which of its poses is whose."""
 
     path: str = field(default="", metadata={"path": True})
+    """The trajectory's file; must be given."""
     format: str = "auto"
+    """kitti (12 numbers per line), tum (8) or auto (by their count)."""
     match: str = "auto"
-    """Which pose is whose: "index" (by the order of the lines), "time" (TUM only) or "auto" (TUM by time)."""
+    """Which pose is whose: index (by the order of the lines), time (TUM only) or auto (TUM by time)."""
     max_time_difference_s: float = 0.01
     """How far a TUM pose may be from its frame in time."""
+
+    def __post_init__(self) -> None:
+        require_choice("tracker.format", self.format, ("auto", "kitti", "tum"))
+        require_choice("tracker.match", self.match, ("auto", "index", "time"))
+        if not self.max_time_difference_s > 0:
+            raise BenchError(f"tracker.max_time_difference_s={self.max_time_difference_s} must be above 0 seconds.")
 
 
 @register("tracker", "trajectory_file", config=TrajectoryFileConfig)
@@ -44,12 +52,8 @@ class TrajectoryFile(Tracker):
     """
 
     def __init__(self, config: TrajectoryFileConfig) -> None:
-        require_choice("tracker.format", config.format, ("auto", "kitti", "tum"))
-        require_choice("tracker.match", config.match, ("auto", "index", "time"))
         if not config.path:
             raise BenchError("tracker=trajectory_file needs tracker.path=FILE, a trajectory in KITTI or TUM format.")
-        if not config.max_time_difference_s > 0:
-            raise BenchError("tracker.max_time_difference_s must be above 0 seconds.")
         self._config = config
         self._path = Path(config.path).expanduser()
         self._by_number: dict[int, Float] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -91,23 +92,20 @@ def test_edge_weight_of_a_diagonal_ramp() -> None:
 
 
 @pytest.mark.parametrize(
-    ("config", "text"),
+    ("settings", "text"),
     [
-        (GeoConfig("geo", stride=0), "loss.geo.stride=0 must be at least 1"),
-        (
-            GeoConfig("geo", rendered_depth="normalised"),
-            "loss.geo.rendered_depth='normalised'.*Did you mean 'normalized'",
-        ),
+        ({"stride": 0}, "loss.geo.stride=0 must be at least 1"),
+        ({"rendered_depth": "normalised"}, "loss.geo.rendered_depth='normalised'.*Did you mean 'normalized'"),
     ],
 )
-def test_geo_refuses_wrong_settings(config: GeoConfig, text: str) -> None:
+def test_geo_refuses_wrong_settings(settings: dict[str, Any], text: str) -> None:
     with pytest.raises(BenchError, match=text):
-        GeoLoss(config)
+        GeoConfig("geo", **settings)
 
 
 def test_smooth_refuses_wrong_distances() -> None:
     with pytest.raises(BenchError, match=r"loss.smooth.distances=\[0\] must hold positive"):
-        SmoothLoss(SmoothConfig("smooth", distances=(0,)))
+        SmoothConfig("smooth", distances=(0,))
 
 
 def plane_depth(view: PinholeView, normal: tuple[float, float, float], distance: float) -> Tensor:

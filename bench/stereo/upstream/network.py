@@ -56,6 +56,18 @@ class UpstreamConfig(NetworkConfig):
     timeout_s: float = 3600.0
     """... or a disparity after this one, the network's process is killed and the run ends."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_choice("stereo.dtype", self.dtype, ("float32", "float16"))
+        for key in ("checkout", "weights", "iterations"):
+            if self.onnx and getattr(self, key):
+                raise BenchError(
+                    f"stereo.{key} and stereo.onnx are both set, but an ONNX file has it all inside. Give one of them."
+                )
+        for key in ("start_timeout_s", "timeout_s"):
+            if not getattr(self, key) > 0:
+                raise BenchError(f"stereo.{key}={getattr(self, key)} must be above 0.")
+
 
 class UpstreamNetwork(StereoNetwork):
     """Runs the network that ``recipe`` describes; a plugin is this class with a recipe.
@@ -181,23 +193,13 @@ class UpstreamNetwork(StereoNetwork):
 
 
 def _check(config: UpstreamConfig, recipe: UpstreamRecipe) -> None:
-    if config.onnx:
-        for key in ("checkout", "weights", "iterations"):
-            if getattr(config, key):
-                raise BenchError(
-                    f"stereo.{key} and stereo.onnx are both set, but an ONNX file has it all inside. Give one of them."
-                )
-        if not Path(config.onnx).expanduser().is_file():
-            raise BenchError(f"stereo.onnx={config.onnx} is no file. Correct the path.")
-    require_choice("stereo.dtype", config.dtype, ("float32", "float16"))
+    if config.onnx and not Path(config.onnx).expanduser().is_file():
+        raise BenchError(f"stereo.onnx={config.onnx} is no file. Correct the path.")
     if config.iterations and config.iterations < recipe.least_iterations:
         raise BenchError(
             f"stereo.iterations={config.iterations} is too few for {recipe.title}; the least is "
             f"{recipe.least_iterations}, its authors use {recipe.iterations}."
         )
-    for key in ("start_timeout_s", "timeout_s"):
-        if not getattr(config, key) > 0:
-            raise BenchError(f"stereo.{key}={getattr(config, key)} must be above 0.")
 
 
 def _read_arguments(path: Path) -> dict[str, Any]:

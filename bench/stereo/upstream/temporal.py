@@ -28,6 +28,17 @@ class TemporalConfig(UpstreamConfig):
     max_turn_deg: float = 20.0
     """... and turn this much."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.tile_rows:
+            raise BenchError(
+                f"stereo={self.name} carries its state from frame to frame for whole images: leave stereo.tile_rows "
+                "at 0; stereo.scale saves memory too."
+            )
+        for key in ("max_gap", "max_step_m", "max_turn_deg"):
+            if getattr(self, key) < 0:
+                raise BenchError(f"stereo.{key}={getattr(self, key)} must not be negative.")
+
 
 @dataclass(frozen=True)
 class _Seen:
@@ -47,14 +58,6 @@ class TemporalUpstreamNetwork(UpstreamNetwork):
     temporal = True
 
     def __init__(self, config: TemporalConfig) -> None:
-        if config.tile_rows:
-            raise BenchError(
-                f"stereo={config.name} carries its state from frame to frame for whole images: leave stereo.tile_rows "
-                "at 0; stereo.scale saves memory too."
-            )
-        for key in ("max_gap", "max_step_m", "max_turn_deg"):
-            if getattr(config, key) < 0:
-                raise BenchError(f"stereo.{key}={getattr(config, key)} must not be negative.")
         super().__init__(config)
         self._limits = config
         # An exported graph has no state.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bench.errors import BenchError
+from bench.errors import require_least
 
 
 @dataclass(frozen=True)
@@ -28,18 +28,6 @@ class LoopSettings:
     max_drift: float = 0.05
     """Loops that say that the odometry is off by more than this share of the way between are not believed."""
 
-    def check(self, prefix: str) -> None:
-        """Raise ``BenchError`` for a value that makes no sense; ``prefix`` is where the user sets it."""
-        least = {
-            "place_spacing_m": 0.0,
-            "place_rotation_deg": 0.0,
-            "training_places": 2,
-            "min_similarity": 0.0,
-            "min_inliers": 15,
-            "min_matches": 1,
-            "min_way_m": 0.0,
-            "max_drift": 0.0,
-        }
-        for key, value in least.items():
-            if not getattr(self, key) >= value:
-                raise BenchError(f"{prefix}.{key}={getattr(self, key)} is too small; the least is {value}.")
+    def __post_init__(self) -> None:
+        least = {"place_spacing_m": 0, "place_rotation_deg": 0, "min_similarity": 0, "min_way_m": 0, "max_drift": 0}
+        require_least("tracker.loops", self, **least, training_places=2, min_inliers=15, min_matches=1)
