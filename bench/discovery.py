@@ -25,9 +25,7 @@ def load_plugins(folders: Iterable[str] = ()) -> None:
     A file that fails to import is recorded in ``registry.broken_files`` with the reason and breaks nothing else, but
     two plugins of the same name are an error (``BenchError``).
     """
-    for module in pkgutil.walk_packages(builtin_plugins.__path__, "plugins."):
-        if not module.ispkg:
-            _import(module.name, module.name)
+    _load_package(builtin_plugins.__name__, builtin_plugins.__path__)
     for entry in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP):
         _import(entry.module, f"{entry.name} (installed package, {entry.module})")
     for folder in folders:
@@ -41,6 +39,17 @@ def package_folders() -> list[Path]:
         spec = importlib.util.find_spec(entry.module.partition(".")[0])
         found += [Path(place) for place in (spec.submodule_search_locations or [] if spec else [])]
     return found
+
+
+def load_evaluators() -> None:
+    """Import the evaluators under ``plugins/`` alone, which is quick: tables ask them for their metrics."""
+    _load_package("plugins.evaluators", [str(Path(place) / "evaluators") for place in builtin_plugins.__path__])
+
+
+def _load_package(name: str, places: Iterable[str]) -> None:
+    for module in pkgutil.walk_packages(places, f"{name}."):
+        if not module.ispkg:
+            _import(module.name, module.name)
 
 
 def _load_folder(folder: Path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from bench.authoring import probes
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.evaluation.run_evaluators import merge
-from bench.evaluation.saved_run import SavedRun
+from bench.evaluation.saved_run import SavedRunFolder
 from bench.runs.folder import RESOURCES_FILE, RunFolder
 from bench.types import RenderedView, Trajectory
 
@@ -32,16 +32,16 @@ class Subject:
     candidate: Candidate
 
     @contextmanager
-    def saved_run(self, complete: bool = True) -> Iterator[SavedRun]:
+    def saved_run(self, complete: bool = True) -> Iterator[SavedRunFolder]:
         """A run of a few frames in a temporary folder; an incomplete one was stopped before it rendered anything."""
         dataset = self.candidate.other("dataset")
         probes.require_frames(dataset, _FRAMES)
         with tempfile.TemporaryDirectory() as place:
             folder = RunFolder.create(Path(place) / "run", self.candidate.run.values, "check-plugin", rerun=False)
             _write_run(folder, dataset, complete)
-            yield SavedRun(folder.path)
+            yield SavedRunFolder(folder.path)
 
-    def scores(self, run: SavedRun) -> dict[str, Any]:
+    def scores(self, run: SavedRunFolder) -> dict[str, Any]:
         """What a fresh instance says about the run, checked for its form."""
         scores = self.candidate.build().evaluate(run)
         if not isinstance(scores, dict):
@@ -160,7 +160,7 @@ def _fingerprints(folder: Path) -> dict[str, str]:
 
 def _repeats(subject: Subject) -> str:
     with subject.saved_run() as run:
-        first, second = subject.scores(run), subject.scores(SavedRun(run.path))
+        first, second = subject.scores(run), subject.scores(SavedRunFolder(run.path))
         rows = run.per_frame()
     if first != second:
         raise ContractBrokenError(

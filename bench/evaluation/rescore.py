@@ -11,7 +11,7 @@ from typing import Any
 
 from bench.config import compose_run, hash_of
 from bench.errors import BenchError
-from bench.evaluation.saved_run import SavedRun
+from bench.evaluation.saved_run import SavedRunFolder
 from bench.runs.config_file import read_config, write_config
 from bench.runs.folder import MAP_FILE, METRICS_FILE, PER_FRAME_FILE, PLOT_FILE
 
@@ -20,7 +20,7 @@ _OF_THE_RUN = ("holdout_every", "holdout_remainder", "rendered_depth")
 _OF_SCORING = (METRICS_FILE, PER_FRAME_FILE, PLOT_FILE)
 
 
-def copy_for(run: SavedRun, overrides: Sequence[str], out: Path | None = None) -> Path:
+def copy_for(run: SavedRunFolder, overrides: Sequence[str], out: Path | None = None) -> Path:
     """Make the folder of ``run`` under the protocol and evaluators that ``overrides`` ask for; returns its path.
 
     ``out`` None: beside the run, named by the hash of the new config, which is where ``bgs-bench run`` would have put a
@@ -46,7 +46,7 @@ def copy_for(run: SavedRun, overrides: Sequence[str], out: Path | None = None) -
     return target
 
 
-def _changed(run: SavedRun, overrides: Sequence[str]) -> dict[str, Any]:
+def _changed(run: SavedRunFolder, overrides: Sequence[str]) -> dict[str, Any]:
     """The run's config with the protocol and the evaluators that ``overrides`` ask for."""
     keys = [override.lstrip("+~").partition("=")[0] for override in overrides]
     for override, key in zip(overrides, keys, strict=True):
@@ -82,7 +82,7 @@ def _with(saved: Mapping[str, Any], composed: Mapping[str, Any], keys: Sequence[
     return result
 
 
-def _require_same_run(run: SavedRun, protocol: Mapping[str, Any]) -> None:
+def _require_same_run(run: SavedRunFolder, protocol: Mapping[str, Any]) -> None:
     stamp = {name: getattr(run.protocol, name) for name in _OF_THE_RUN}
     # Which remainder is kept out says nothing where nothing is.
     held_out = bool(stamp["holdout_every"]) or bool(protocol.get("holdout_every"))
@@ -101,7 +101,7 @@ def _require_same_run(run: SavedRun, protocol: Mapping[str, Any]) -> None:
         )
 
 
-def _copy(run: SavedRun, target: Path, config: dict[str, Any], config_hash: str) -> None:
+def _copy(run: SavedRunFolder, target: Path, config: dict[str, Any], config_hash: str) -> None:
     """All files of the run but its scores, in a folder that gets its name when it is complete."""
     staging = target.parent / f".scoring-{os.getpid()}-{target.name}"
     try:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bench import registry
+from bench.contracts.evaluator import Evaluator, ViewEvaluator
+from bench.contracts.saved_run import SavedRun
 from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.frame_states import count_states
 from bench.evaluation.gaps import about_gaps
-from bench.evaluation.saved_run import ProgressReport, SavedRun
+from bench.evaluation.saved_run import ProgressReport, SavedRunFolder
 from bench.io.atomic import write_json, write_text
 from bench.plugin_config import plugin_config_from
 from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE
@@ -26,17 +29,17 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
     as far as it got. An evaluator that can't run here leaves a note instead of its numbers. Raises ``BenchError`` for
     a folder that is no run, is incomplete or damaged, and when two evaluators disagree about the same number.
     """
-    run = SavedRun(path)
+    run = SavedRunFolder(path)
     run.on_progress = on_progress
     load_plugins(run.config.get("plugins") or [])
     metrics: dict[str, Any] = {"protocol": run.protocol.stamp() | {"right_images_mapped": _learned_from_right(run)}}
-    for name, mapping in (run.config.get("evaluator") or {}).items():
-        reason = registry.lookup("evaluator", name).unavailable_reason()
-        if reason is not None:
-            merge(metrics, {"notes": {name: reason}})
-            continue
-        evaluator = registry.build(plugin_config_from("evaluator", {"name": name} | (mapping or {})), "evaluator")
-        merge(metrics, evaluator.evaluate(run))
+    evaluators = [_evaluator(name, mapping or {}) for name, mapping in (run.config.get("evaluator") or {}).items()]
+    _show_views(run, [evaluator for evaluator in evaluators if isinstance(evaluator, ViewEvaluator)])
+    for evaluator in evaluators:
+        if isinstance(evaluator, ViewEvaluator):
+            merge(metrics, evaluator.finish())
+        else:
+            merge(metrics, evaluator.evaluate(run) if isinstance(evaluator, Evaluator) else evaluator)
     merge(metrics, {"map": _map_size(run), "frames": _frame_counts(run)})
     gaps = about_gaps(run.frames)
     merge(metrics, {"notes": {"output": gaps}} if gaps else {})
@@ -44,6 +47,25 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
     write_text(run.path / PER_FRAME_FILE, run.per_frame().to_csv(index=False))
     write_json(run.path / METRICS_FILE, metrics)
     return metrics
+
+
+def _evaluator(name: str, mapping: Mapping[str, Any]) -> Evaluator | dict[str, Any]:
+    """The evaluator, or a note in the form of ``metrics.json`` on why it can't run here."""
+    reason = registry.lookup("evaluator", name).unavailable_reason()
+    if reason is not None:
+        return {"notes": {name: reason}}
+    evaluator = registry.build(plugin_config_from("evaluator", {"name": name, **mapping}), "evaluator")
+    assert isinstance(evaluator, Evaluator)
+    return evaluator
+
+
+def _show_views(run: SavedRun, evaluators: Sequence[ViewEvaluator]) -> None:
+    """One pass over the saved views for all evaluators that want them."""
+    for evaluator in evaluators:
+        evaluator.start(run)
+    for view in run.views() if evaluators else ():
+        for evaluator in evaluators:
+            evaluator.view(view)
 
 
 def merge(into: dict[str, Any], part: dict[str, Any], where: str = "") -> None:
@@ -60,7 +82,7 @@ def merge(into: dict[str, Any], part: dict[str, Any], where: str = "") -> None:
             into[key] = value
 
 
-def _record_weights(run: SavedRun) -> None:
+def _record_weights(run: SavedRunFolder) -> None:
     """Add the weights that scoring used to ``provenance.json``, where the run has one."""
     path = run.path / PROVENANCE_FILE
     if run.weights and path.is_file():
@@ -69,7 +91,7 @@ def _record_weights(run: SavedRun) -> None:
         write_json(path, provenance)
 
 
-def _frame_counts(run: SavedRun) -> dict[str, Any]:
+def _frame_counts(run: SavedRunFolder) -> dict[str, Any]:
     return {
         # An interrupted run has rows for what it did; the status knows how many frames there were to do.
         "total": max(len(run.frames), run.status.frames_total),
@@ -78,7 +100,7 @@ def _frame_counts(run: SavedRun) -> dict[str, Any]:
     }
 
 
-def _learned_from_right(run: SavedRun) -> bool | None:
+def _learned_from_right(run: SavedRunFolder) -> bool | None:
     """Whether mapping saw right images (an optional column of ``frames.csv``): then right views are not unseen ones.
 
     None where nobody here knows: right views of another system.
@@ -88,6 +110,6 @@ def _learned_from_right(run: SavedRun) -> bool | None:
     return "right_mapped" in run.frames and bool(run.frames["right_mapped"].any())
 
 
-def _map_size(run: SavedRun) -> dict[str, Any]:
+def _map_size(run: SavedRunFolder) -> dict[str, Any]:
     there = (run.path / RESOURCES_FILE).is_file()
     return {"gaussians": run.resources.get("gaussians") if there else None}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.evaluation.saved_run import SavedRun
+from bench.contracts.saved_run import SavedRun
 from bench.runs.folder import TRAJECTORY_FILE
 from bench.runs.system_name import foreign_name
 from bench.types import Trajectory

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +13,7 @@ import pandas as pd
 
 from bench import registry
 from bench.contracts.dataset import Dataset
+from bench.contracts.saved_run import VIEW_OF_GROUP, Group, LpipsMetric, SavedRun, SavedView
 from bench.errors import BenchError
 from bench.io.csv_files import read_csv
 from bench.plugin_config import plugin_config_from
@@ -30,25 +31,16 @@ from bench.runs.folder import (
 )
 from bench.runs.status import STATUS_FILE, RunStatus, read_json, read_status
 from bench.runs.trajectory_csv import read_trajectory_csv
-from bench.types import Image, Map, Trajectory
+from bench.types import Image, Map, Mask, StereoFrame, Trajectory
 
 ProgressReport = Callable[[str, int, int], None]
 """Called with what is being done, how many are done, and how many there are."""
 
 _PICTURE_COLUMNS = ("left_color", "right_color", "left_depth")
 
-Group = Literal["left", "train", "heldout", "right"]
 
-GROUPS: tuple[Group, ...] = ("left", "train", "heldout", "right")
-VIEW_OF_GROUP: dict[Group, View] = {"left": "left", "train": "left", "heldout": "left", "right": "right"}
-"""Which camera the images of a group come from."""
-
-
-class SavedRun:
-    """Reads the run folder at ``path``; files are read when first asked for.
-
-    Every damaged or missing file raises a ``BenchError`` that names it.
-    """
+class SavedRunFolder(SavedRun):
+    """Reads the run folder at ``path``; files are read when first asked for."""
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
@@ -62,7 +54,7 @@ class SavedRun:
         self.config, self.config_hash = known
         self.on_progress: ProgressReport | None = None
         self._per_frame: dict[tuple[str, int], dict[str, Any]] = {}
-        # Files of network weights that scoring used, by what they are for: evaluators put theirs here.
+        self._frame: tuple[int, StereoFrame] | None = None
         self.weights: dict[str, Path] = {}
 
     @cached_property
@@ -101,11 +93,7 @@ class SavedRun:
 
     @cached_property
     def frames(self) -> pd.DataFrame:
-        """``frames.csv``: one row a frame that the run processed.
-
-        mapped, heldout and, where a system learns from right images, right_mapped are boolean, and so are left_color,
-        right_color and left_depth of another system's output, which say what pictures it has of which frames.
-        """
+        """``frames.csv``, checked; columns of yes and no are boolean."""
         table = read_csv(self.path / FRAMES_FILE, FRAME_COLUMNS)
         for column in ("mapped", "heldout", "right_mapped", *_PICTURE_COLUMNS):
             if column not in table:
@@ -116,16 +104,22 @@ class SavedRun:
 
     @cached_property
     def resources(self) -> dict[str, Any]:
-        """``resources.json``: memory, seconds a frame, number of Gaussians."""
+        """What ``resources.json`` holds."""
         return read_json(self.path / RESOURCES_FILE)
 
-    def numbers(self, view: View, group: Group) -> list[int]:
-        """Frame numbers of a group's images that come from the camera ``view``, in order.
+    @cached_property
+    def lpips(self) -> LpipsMetric:
+        """The LPIPS metric; ``BenchError`` for a weights file that is given and is not there, or is damaged."""
+        from bench.evaluation.run_lpips import lpips_of  # torch takes a while to load
 
-        left: every tracked frame; train: mapped; heldout: kept out of mapping and tracked; right: every tracked frame.
-        Of another system's output those are the frames of which it has pictures.
-        A group has images of one camera only (``VIEW_OF_GROUP``); the list is empty for the other one.
-        """
+        return lpips_of(self)
+
+    @cached_property
+    def _position_of(self) -> dict[int, int]:
+        return {number: position for position, number in enumerate(self.dataset.numbers)}
+
+    def numbers(self, view: View, group: Group) -> list[int]:
+        """Frame numbers of a group's images that come from the camera ``view``, in order."""
         if VIEW_OF_GROUP[group] != view:
             return []
         wanted = self._should_have(f"{view}_color")
@@ -138,10 +132,9 @@ class SavedRun:
         return [int(number) for number in self.frames.loc[wanted, "number"]]
 
     def rendered(self, view: View, what: Literal["color", "depth"] = "color") -> list[int]:
-        """Numbers of the tracked frames of which the run saved a render.
+        """Numbers of the tracked frames with a saved render; ``BenchError`` where a finished run lacks some.
 
-        A run of ours saves colour and depth together; of another system's output ``what`` says which of them. Raises
-        ``BenchError`` when a finished run saved some but lacks others; a run that stopped early may lack any.
+        A run of ours saves colour and depth together; of another system's output ``what`` says which of them.
         """
         if f"{view}_{what}" not in self.frames:
             what = "color"
@@ -165,6 +158,34 @@ class SavedRun:
         metres = stored.astype(np.float32) / np.float32(DEPTH_SCALE)
         metres[stored == 0] = np.nan
         return metres
+
+    def views(self) -> Iterator[SavedView]:
+        """The saved views one by one; ``BenchError`` for a render of a frame that the data set does not have."""
+        left = {*self.rendered("left"), *self.rendered("left", "depth")}
+        right = set(self.rendered("right")) if self.protocol.right_view else set()
+        numbers = sorted(left | right)
+        for done, number in enumerate(numbers):
+            self.report_progress("views", done, len(numbers))
+            if number in left:
+                yield _View(self, "left", number)
+            if number in right:
+                yield _View(self, "right", number)
+        self.report_progress("views", len(numbers), len(numbers))
+
+    def position_of(self, number: int) -> int:
+        """Position in the data set of the frame with this number; ``BenchError`` where it has none."""
+        if number not in self._position_of:
+            raise BenchError(
+                f"{self.path} holds a render of frame {number}, which its data set {self.dataset.label} does not have. "
+                "Check that the data set's files are those of the run."
+            )
+        return self._position_of[number]
+
+    def frame(self, position: int) -> StereoFrame:
+        """The data set's frame, kept until another one is asked for: left and right views share it."""
+        if self._frame is None or self._frame[0] != position:
+            self._frame = position, self.dataset.frame(position)
+        return self._frame[1]
 
     def report_progress(self, what: str, done: int, total: int) -> None:
         """Tell whoever shows progress, if anyone does, that ``done`` of ``total`` are scored."""
@@ -193,3 +214,55 @@ class SavedRun:
         if picture is None or picture.dtype != dtype or (dtype is np.uint16 and picture.ndim != 2):
             raise BenchError(f"{path} is damaged and can't be decoded. Run again with rerun=true.")
         return picture
+
+
+class _View(SavedView):
+    """A view of a run folder; each part is read when first asked for, and kept as long as the view is."""
+
+    def __init__(self, run: SavedRunFolder, camera: View, number: int) -> None:
+        self.run, self.camera, self.number = run, camera, number
+        self.position = run.position_of(number)
+
+    @cached_property
+    def render(self) -> Image | None:
+        """The saved render; ``BenchError`` where it is not of the data set's size."""
+        render, size = self.run.render(self.camera, self.number), self.run.dataset.camera_of(self.position)
+        if render is not None and render.shape[:2] != (size.height, size.width):
+            raise BenchError(
+                f"The {self.camera} render of frame {self.number} in {self.run.path} is "
+                f"{render.shape[1]}x{render.shape[0]} pixels, the data set's image {size.width}x{size.height}. "
+                "Are its files those of the run?"
+            )
+        return render
+
+    @cached_property
+    def depth(self) -> Map | None:
+        """The saved depth in metres."""
+        return self.run.depth(self.camera, self.number)
+
+    @property
+    def image(self) -> Image:
+        """The data set's image."""
+        frame = self.run.frame(self.position)
+        return frame.left if self.camera == "left" else frame.right
+
+    @cached_property
+    def lidar(self) -> Map | None:
+        """LiDAR returns in the left image."""
+        return self.run.dataset.lidar_depth(self.position) if self.camera == "left" else None
+
+    @cached_property
+    def true_depth(self) -> Map | None:
+        """Exact depth of the left image."""
+        return self.run.dataset.true_depth(self.position) if self.camera == "left" else None
+
+    @cached_property
+    def true_sky(self) -> Mask | None:
+        """Exact sky of the left image."""
+        return self.run.dataset.true_sky(self.position) if self.camera == "left" else None
+
+    @cached_property
+    def lpips(self) -> float | None:
+        """LPIPS of the whole images."""
+        distance = self.run.lpips.distance
+        return None if distance is None or self.render is None else distance([self.render], [self.image])[0]

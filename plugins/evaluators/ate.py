@@ -5,18 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 from bench.contracts.evaluator import Evaluator
+from bench.contracts.metric import Metric
+from bench.contracts.saved_run import SavedRun
 from bench.evaluation.rpe import relative_pose_error
 from bench.evaluation.run_trajectory import estimate_and_truth
-from bench.evaluation.saved_run import SavedRun
 from bench.evaluation.trajectory import absolute_trajectory_error, static_camera_metrics
 from bench.registry import PluginConfig, register
-from bench.report.trajectory_plot import write_trajectory_plot
 from bench.runs.folder import PLOT_FILE
 
 
 @register("evaluator", "ate")
 class AteEvaluator(Evaluator):
     """Absolute trajectory error of all tracked frames after the protocol's alignment, metres."""
+
+    metrics = (Metric("ate_rmse_m", "ATE", "m", "lower", 3, "trajectory.ate_rmse_m", column="always", order=10),)
 
     def __init__(self, config: PluginConfig) -> None:
         self.config = config
@@ -34,6 +36,8 @@ class AteEvaluator(Evaluator):
         if isinstance(result, str):
             return _not_computed(result, run)
         rpe = relative_pose_error(estimate, truth)
+        from bench.report.trajectory_plot import write_trajectory_plot  # matplotlib takes a while to load
+
         write_trajectory_plot(run.path / PLOT_FILE, result, truth, None if isinstance(rpe, str) else rpe)
         for number, error in zip(result.numbers, result.errors_m, strict=True):
             run.add_per_frame("left", int(number), ate_m=float(error))

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from bench.contracts.evaluator import Evaluator
-from bench.errors import BenchError, require_choice
+from bench.contracts.evaluator import ViewEvaluator
+from bench.contracts.metric import Metric
+from bench.contracts.saved_run import LpipsMetric, SavedRun, SavedView
+from bench.errors import require_choice
 from bench.evaluation.dialects.catalogue import DIALECTS
 from bench.evaluation.dialects.dialect import Dialect
 from bench.evaluation.dialects.view import METRICS, Scores, score_view
-from bench.evaluation.lpips_metric import Lpips
-from bench.evaluation.run_lpips import lpips_of
 from bench.evaluation.run_trajectory import estimate_and_truth
-from bench.evaluation.saved_run import SavedRun
 from bench.registry import PluginConfig, register
 
 VIEWS = ("own", "all")
+_METRICS: tuple[tuple[str, str, str, Literal["higher", "lower"], int], ...] = (
+    ("psnr_db", "PSNR", "dB", "higher", 2),
+    ("ssim", "SSIM", "", "higher", 3),
+    ("lpips", "LPIPS", "", "lower", 3),
+    ("depth_l1_cm", "Depth-L1", "cm", "lower", 1),
+    ("ate_m", "ATE", "m", "lower", 3),
+)
 
 
 @dataclass(frozen=True)
@@ -34,25 +40,46 @@ class DialectsConfig(PluginConfig):
 
 
 @register("evaluator", "dialects", config=DialectsConfig)
-class DialectsEvaluator(Evaluator):
+class DialectsEvaluator(ViewEvaluator):
     """PSNR, SSIM, LPIPS, Depth-L1 and ATE by the rules of SplaTAM, MonoGS and LoopSplat."""
+
+    metrics = tuple(
+        Metric(f"{dialect.name}_{key}", f"{title} ({dialect.name})", unit, better, decimals,
+               f"dialects.{dialect.name}.{key}", "never")
+        for dialect in DIALECTS
+        for key, title, unit, better, decimals in _METRICS
+    )  # fmt: skip
 
     def __init__(self, config: DialectsConfig) -> None:
         self.config = config
 
-    def evaluate(self, run: SavedRun) -> dict[str, Any]:
+    def start(self, run: SavedRun) -> None:
+        """Choose the views that each dialect scores."""
+        self._run = run
+        self._views = _views_of_each(run, self.config.views)
+        self._lpips = run.lpips if any(self._views.values()) else LpipsMetric(None)
+        self._scores: dict[str, list[Scores]] = {dialect.name: [] for dialect in DIALECTS}
+
+    def view(self, view: SavedView) -> None:
+        """Score a left view under the dialects that chose it."""
+        if view.camera != "left" or view.render is None:
+            return
+        asked = [dialect for dialect in DIALECTS if view.number in self._views[dialect.name]]
+        if asked:
+            for name, values in score_view(asked, view, view.render, self._lpips.distance).items():
+                self._scores[name].append(values)
+
+    def finish(self) -> dict[str, Any]:
         """``dialects.<name>`` with n_views, the means of ``METRICS`` over them, ate_m, and a stamp that says how.
 
         The images are the saved 8-bit ones, LiDAR is the reference depth, and the rendered depth is the one that the
         run saved. What can't be computed is None, with the reason in ``notes.dialects``.
         """
-        views = _views_of_each(run, self.config.views)
-        lpips, about_lpips = lpips_of(run) if any(views.values()) else (None, {})
-        scores = _score_views(run, views, lpips)
+        run, about_lpips = self._run, self._lpips.about
         weights = about_lpips.get("protocol", {})
         parts, notes = {}, []
         for dialect in DIALECTS:
-            of_dialect = scores[dialect.name]
+            of_dialect = self._scores[dialect.name]
             ate = _ate(run, dialect)
             metrics = {name: _mean([score[name] for score in of_dialect]) for name in METRICS}
             metrics["ate_m"] = None if isinstance(ate, str) else ate
@@ -73,52 +100,12 @@ def _views_of_each(run: SavedRun, which: str) -> dict[str, list[int]]:
     rendered = run.rendered("left")
     if not rendered:
         return {dialect.name: [] for dialect in DIALECTS}
-    position_of = {number: position for position, number in enumerate(run.dataset.numbers)}
-    if unknown := set(rendered) - position_of.keys():
-        raise BenchError(
-            f"{run.path} holds a render of frame {min(unknown)}, which its data set {run.dataset.label} does not have. "
-            "Check that the data set's files are those of the run."
-        )
     if which == "all":
         return {dialect.name: rendered for dialect in DIALECTS}
-    positions = np.array([position_of[number] for number in rendered])
+    positions = np.searchsorted(run.dataset.numbers, rendered)
     mapped = np.isin(rendered, run.numbers("left", "train"))
     frames = len(run.dataset)
     return {d.name: np.array(rendered)[d.scores_view(positions, mapped, frames)].tolist() for d in DIALECTS}
-
-
-def _score_views(run: SavedRun, views: dict[str, list[int]], lpips: Lpips | None) -> dict[str, list[Scores]]:
-    """Scores of each dialect's views; every view is read once for all of them."""
-    position_of = {number: position for position, number in enumerate(run.dataset.numbers)}
-    scores: dict[str, list[Scores]] = {dialect.name: [] for dialect in DIALECTS}
-    numbers = sorted(set().union(*views.values()))
-    known_lpips = _known_lpips(run)
-    for done, number in enumerate(numbers):
-        run.report_progress("dialects", done, len(numbers))
-        position = position_of[number]
-        image, render = run.dataset.frame(position).left, run.render("left", number)
-        assert render is not None  # only views that are there are asked for
-        if render.shape != image.shape:
-            raise BenchError(
-                f"The left render of frame {number} in {run.path} is {render.shape[1]}x{render.shape[0]} pixels, "
-                f"the data set's image {image.shape[1]}x{image.shape[0]}. Are its files those of the run?"
-            )
-        asked = [dialect for dialect in DIALECTS if number in views[dialect.name]]
-        depth, reference = run.depth("left", number), run.dataset.lidar_depth(position)
-        found = score_view(asked, render, image, depth, reference, lpips, known_lpips.get(number))
-        for name, values in found.items():
-            scores[name].append(values)
-    run.report_progress("dialects", len(numbers), len(numbers))
-    return scores
-
-
-def _known_lpips(run: SavedRun) -> dict[int, float]:
-    """LPIPS of left views by number, where the evaluator ``image`` came first: it is most of the time of a view."""
-    table = run.per_frame()
-    if "lpips" not in table:
-        return {}
-    left = table[(table["view"] == "left") & table["lpips"].notna()]
-    return dict(zip(left["number"].tolist(), left["lpips"].tolist(), strict=True))
 
 
 def _ate(run: SavedRun, dialect: Dialect) -> float | str:

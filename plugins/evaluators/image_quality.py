@@ -7,113 +7,91 @@ from typing import Any
 
 import numpy as np
 
-from bench.contracts.evaluator import Evaluator
+from bench.contracts.evaluator import ViewEvaluator
+from bench.contracts.metric import Metric
+from bench.contracts.saved_run import GROUPS, VIEW_OF_GROUP, SavedRun, SavedView
 from bench.errors import BenchError
 from bench.evaluation.image import psnr, ssim
-from bench.evaluation.lpips_metric import Lpips
 from bench.evaluation.regions import psnr_where, ssim_where, unit_range
-from bench.evaluation.run_lpips import lpips_of
-from bench.evaluation.saved_run import GROUPS, VIEW_OF_GROUP, SavedRun
 from bench.evaluation.ssim_flavours import ms_ssim, ssim_3dgs
 from bench.protocol import Protocol
 from bench.registry import PluginConfig, register
-from bench.runs.folder import View
-from bench.types import Image, Mask
-
-Scores = dict[tuple[View, int], dict[str, float | None]]
-"""Metrics of each image; one that can't be computed is None for all of them."""
+from bench.types import Image
 
 
 @register("evaluator", "image")
-class ImageEvaluator(Evaluator):
+class ImageEvaluator(ViewEvaluator):
     """PSNR, SSIM and LPIPS of left, training, held-out and right views."""
+
+    metrics = (
+        Metric("psnr_db", "PSNR", "dB", "higher", 2, "views.left.psnr_db", "always", order=40),
+        Metric("ssim", "SSIM", "", "higher", 3, "views.left.ssim", "always", order=41),
+        Metric("lpips", "LPIPS", "", "lower", 3, "views.left.lpips", "always", order=42),
+        Metric("heldout_psnr_db", "Held-out PSNR", "dB", "higher", 2, "views.heldout.psnr_db", "always", order=50),
+        Metric("right_psnr_db", "Right PSNR", "dB", "higher", 2, "views.right.psnr_db", "always", order=60),
+    )
 
     def __init__(self, config: PluginConfig) -> None:
         self.config = config
 
-    def evaluate(self, run: SavedRun) -> dict[str, Any]:
-        """``views.<group>`` with n, psnr_db, ssim, lpips (means of per-image values); absent groups have no view."""
+    def start(self, run: SavedRun) -> None:
+        """See whether there is something to score, and with which metrics."""
+        self._run = run
+        self._scores: dict[tuple[str, int], dict[str, float | None]] = {}
+        self._about: dict[str, Any] = {}
+        self._nothing = ""
         if not (run.rendered("left") or run.rendered("right")):
-            return {"views": {}, "notes": {"image": "the run saved no renders"}}
-        if run.protocol.sky == "out":
-            if run.dataset.true_sky(0) is None:
-                return {"views": {}, "notes": {"image": _no_sky(run)}}
-            reason = "LPIPS is of whole images, and protocol.sky=out leaves a part of them out"
-            lpips, about_lpips = None, {"notes": {"lpips": reason}}
+            self._nothing = "the run saved no renders"
+        elif run.protocol.sky == "in":
+            self._about = dict(run.lpips.about)
+        elif run.dataset.true_sky(0) is None:
+            self._nothing = _no_sky(run)
         else:
-            lpips, about_lpips = lpips_of(run)
-        scores = _score_views(run, lpips)
-        for (view, number), values in scores.items():
-            run.add_per_frame(view, number, **values)
+            reason = "LPIPS is of whole images, and protocol.sky=out leaves a part of them out"
+            self._about = {"notes": {"lpips": reason}}
+
+    def view(self, view: SavedView) -> None:
+        """Score a render against its image."""
+        if self._nothing or view.render is None:
+            return
+        score = _score if self._run.protocol.sky == "in" else _score_without_sky
+        self._scores[view.camera, view.number] = score(self._run, view, view.render)
+
+    def finish(self) -> dict[str, Any]:
+        """``views.<group>`` with n, psnr_db, ssim, lpips (means of per-image values); absent groups have no view."""
+        if self._nothing:
+            return {"views": {}, "notes": {"image": self._nothing}}
+        scores = self._scores
+        for (camera, number), values in scores.items():
+            self._run.add_per_frame(camera, number, **values)
         views = {}
         for group in GROUPS:
-            view = VIEW_OF_GROUP[group]
-            of_group = [scores[view, number] for number in run.numbers(view, group) if (view, number) in scores]
+            camera = VIEW_OF_GROUP[group]
+            of_group = [scores[camera, each] for each in self._run.numbers(camera, group) if (camera, each) in scores]
             if of_group:
                 views[group] = {"n": len(of_group)} | {
                     metric: _mean([values[metric] for values in of_group]) for metric in of_group[0]
                 }
-        return {"views": views, **about_lpips}
+        return {"views": views, **self._about}
 
 
-def _score_views(run: SavedRun, lpips: Lpips | None) -> Scores:
-    """Each render against its image, decoded once and scored once; ordered by frame."""
-    left = set(run.rendered("left"))
-    right = set(run.rendered("right")) if run.protocol.right_view else set()
-    position_of = {number: position for position, number in enumerate(run.dataset.numbers)}
-    scores: Scores = {}
-    numbers = sorted(left | right)
-    for done, number in enumerate(numbers):
-        run.report_progress("images", done, len(numbers))
-        if number not in position_of:
-            raise BenchError(
-                f"{run.path} holds a render of frame {number}, which its data set {run.dataset.label} does not have. "
-                "Check that the data set's files are those of the run."
-            )
-        frame = run.dataset.frame(position_of[number])
-        counts = _pixels_that_count(run, position_of[number])
-        if number in left:
-            scores["left", number] = _score(run, "left", number, frame.left, lpips, counts)
-        if number in right:
-            scores["right", number] = _score(run, "right", number, frame.right, lpips, None)
-    run.report_progress("images", len(numbers), len(numbers))
-    return scores
+def _score(run: SavedRun, view: SavedView, render: Image) -> dict[str, float | None]:
+    image = view.image
+    return {"psnr_db": psnr(render, image), "ssim": _ssim(render, image, run.protocol), "lpips": view.lpips}
 
 
-def _pixels_that_count(run: SavedRun, position: int) -> Mask | None:
-    """Of a left image, by the protocol: those that are not sky, or None for all."""
-    if run.protocol.sky == "in":
-        return None
-    sky = run.dataset.true_sky(position)
+def _score_without_sky(run: SavedRun, view: SavedView, render: Image) -> dict[str, float | None]:
+    """Of the pixels that are not sky; an image that is all sky has no score."""
+    sky = view.true_sky
     if sky is None:
-        raise BenchError(f"Frame {run.dataset.numbers[position]}: {_no_sky(run)}.")
-    return ~sky
+        raise BenchError(f"Frame {view.number}: {_no_sky(run)}.")
+    scores = psnr_where(render, view.image, ~sky), ssim_where(render, view.image, ~sky, run.protocol.ssim)
+    known = [value if math.isfinite(value) else None for value in scores]
+    return {"psnr_db": known[0], "ssim": known[1], "lpips": None}
 
 
 def _no_sky(run: SavedRun) -> str:
     return f"the data set {run.dataset.label} does not know where its sky is; use protocol.sky=in"
-
-
-def _score(
-    run: SavedRun, view: View, number: int, image: Image, lpips: Lpips | None, counts: Mask | None
-) -> dict[str, float | None]:
-    render = run.render(view, number)
-    assert render is not None  # the caller asks for renders that are there
-    if render.shape != image.shape:
-        raise BenchError(
-            f"The {view} render of frame {number} in {run.path} is {render.shape[1]}x{render.shape[0]} pixels, "
-            f"the data set's image {image.shape[1]}x{image.shape[0]}. Are its files those of the run?"
-        )
-    if counts is not None:
-        scores = psnr_where(render, image, counts), ssim_where(render, image, counts, run.protocol.ssim)
-        # An image that is all sky has no score.
-        known = [value if math.isfinite(value) else None for value in scores]
-        return {"psnr_db": known[0], "ssim": known[1], "lpips": None}
-    return {
-        "psnr_db": psnr(render, image),
-        "ssim": _ssim(render, image, run.protocol),
-        "lpips": None if lpips is None else lpips([render], [image])[0],
-    }
 
 
 def _ssim(render: Image, image: Image, protocol: Protocol) -> float:

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from bench.contracts.evaluator import Evaluator
+from bench.contracts.evaluator import ViewEvaluator
+from bench.contracts.metric import Metric
+from bench.contracts.saved_run import GROUPS, VIEW_OF_GROUP, SavedRun, SavedView
 from bench.errors import BenchError
 from bench.evaluation.depth import depth_l1_cm
 from bench.evaluation.regions import distance_bins, psnr_where
-from bench.evaluation.saved_run import GROUPS, VIEW_OF_GROUP, SavedRun
 from bench.registry import PluginConfig, register
-from bench.types import Map, Mask
+from bench.types import Mask
 
 Scores = dict[str, dict[str, float]]
 """Of one view: ``pixels``, ``psnr_db`` and where it has one ``depth_l1_cm``, by region."""
@@ -38,22 +39,53 @@ class RegionsConfig(PluginConfig):
 
 
 @register("evaluator", "regions", config=RegionsConfig)
-class RegionsEvaluator(Evaluator):
+class RegionsEvaluator(ViewEvaluator):
     """PSNR and Depth-L1 in distance bins, PSNR in the sky and outside of it, of left views."""
+
+    metrics = (
+        Metric("sky_psnr_db", "Sky PSNR", "dB", "higher", 2, "regions.left.sky.psnr_db", "never"),
+        Metric("not_sky_psnr_db", "PSNR without sky", "dB", "higher", 2, "regions.left.not_sky.psnr_db", "never"),
+    )
 
     def __init__(self, config: RegionsConfig) -> None:
         self.config = config
 
-    def evaluate(self, run: SavedRun) -> dict[str, Any]:
+    def start(self, run: SavedRun) -> None:
+        """Nothing is scored yet."""
+        self._run = run
+        self._scores: dict[int, Scores] = {}
+
+    def view(self, view: SavedView) -> None:
+        """Score the regions of a left view."""
+        render = view.render
+        if view.camera != "left" or render is None:
+            return
+        reference = view.lidar if view.true_depth is None else view.true_depth
+        sky, depth = view.true_sky, view.depth
+        bins = {} if reference is None else distance_bins(reference, self.config.edges_m)
+        places: dict[str, Mask] = bins | ({} if sky is None else {"sky": sky, "not_sky": ~sky})
+        scores: Scores = {}
+        for name, where in places.items():
+            pixels = int(np.count_nonzero(where))
+            if not pixels:
+                continue
+            scores[name] = {"pixels": pixels, "psnr_db": psnr_where(render, view.image, where)}
+            if name in bins and reference is not None and depth is not None:
+                of_bin = np.where(where, reference, np.float32(np.nan))
+                # The bin has chosen the pixels, from its lower edge on.
+                error, _ = depth_l1_cm(depth, of_bin, -1.0, None)
+                scores[name]["depth_l1_cm"] = error
+        self._scores[view.number] = scores
+
+    def finish(self) -> dict[str, Any]:
         """``regions.<group>.<region>`` with n views, pixels, psnr_db and depth_l1_cm (means of per-view values).
 
         Distance is the data set's true depth, and LiDAR where it has none; ``regions.distance`` says which. Views
         without a pixel in a region don't enter there. Regions that no view has are absent, with a note for the sky.
         """
-        rendered = run.rendered("left")
-        if not rendered:
+        run, scores = self._run, self._scores
+        if not scores:
             return {"regions": {}, "notes": {"regions": "the run saved no left renders"}}
-        scores = self._score_views(run, rendered)
         regions: dict[str, Any] = {"distance": _source_of_distance(run)}
         for group in GROUPS:
             if VIEW_OF_GROUP[group] != "left":
@@ -65,44 +97,6 @@ class RegionsEvaluator(Evaluator):
         if run.dataset.true_sky(0) is None:
             missing.append("the data set does not know where its sky is")
         return {"regions": regions} | ({"notes": {"regions": "; ".join(missing)}} if missing else {})
-
-    def _score_views(self, run: SavedRun, rendered: Sequence[int]) -> dict[int, Scores]:
-        position_of = {number: position for position, number in enumerate(run.dataset.numbers)}
-        scores = {}
-        for done, number in enumerate(rendered):
-            run.report_progress("regions", done, len(rendered))
-            if number not in position_of:
-                raise BenchError(
-                    f"{run.path} holds a render of frame {number}, which its data set {run.dataset.label} does not "
-                    "have. Check that the data set's files are those of the run."
-                )
-            scores[number] = self._score(run, number, position_of[number])
-        run.report_progress("regions", len(rendered), len(rendered))
-        return scores
-
-    def _score(self, run: SavedRun, number: int, position: int) -> Scores:
-        image, render, depth = run.dataset.frame(position).left, run.render("left", number), run.depth("left", number)
-        assert render is not None  # only views that are there are asked for
-        reference, sky = _distance(run, position), run.dataset.true_sky(position)
-        bins = {} if reference is None else distance_bins(reference, self.config.edges_m)
-        places: dict[str, Mask] = bins | ({} if sky is None else {"sky": sky, "not_sky": ~sky})
-        scores: Scores = {}
-        for name, where in places.items():
-            pixels = int(np.count_nonzero(where))
-            if not pixels:
-                continue
-            scores[name] = {"pixels": pixels, "psnr_db": psnr_where(render, image, where)}
-            if name in bins and reference is not None and depth is not None:
-                of_bin = np.where(where, reference, np.float32(np.nan))
-                # The bin has chosen the pixels, from its lower edge on.
-                error, _ = depth_l1_cm(depth, of_bin, -1.0, None)
-                scores[name]["depth_l1_cm"] = error
-        return scores
-
-
-def _distance(run: SavedRun, position: int) -> Map | None:
-    true_depth = run.dataset.true_depth(position)
-    return run.dataset.lidar_depth(position) if true_depth is None else true_depth
 
 
 def _source_of_distance(run: SavedRun) -> str | None:

@@ -5,16 +5,33 @@ from __future__ import annotations
 from typing import Any
 
 from bench.contracts.evaluator import Evaluator
-from bench.evaluation.saved_run import SavedRun
+from bench.contracts.metric import Metric
+from bench.contracts.saved_run import SavedRun
 from bench.registry import PluginConfig, register
 from bench.runs.folder import RESOURCES_FILE
 
-REPORTED = ("peak_memory_gb", "tracking_s_per_frame", "stereo_s_per_frame", "mapping_s_per_frame", "wall_s_per_frame")
+_STAGES = ("tracking", "stereo", "mapping")
+REPORTED = ("peak_memory_gb", *(f"{stage}_s_per_frame" for stage in _STAGES), "wall_s_per_frame")
 
 
 @register("evaluator", "resources")
 class ResourcesEvaluator(Evaluator):
-    """Peak memory in GB, and seconds a frame of tracking, stereo and mapping."""
+    """Peak memory in GB, and seconds per frame of tracking, stereo and mapping."""
+
+    metrics = (
+        Metric("gaussians", "Gaussians", "", None, None, "map.gaussians", order=70),
+        Metric(
+            "peak_memory_gb", "Memory", "GB", "lower", 2, "resources.peak_memory_gb", "always", of_part=False, order=80
+        ),
+        Metric(
+            "s_per_frame", "Time", "s/frame", "lower", 2,
+            " + ".join(f"resources.{stage}_s_per_frame" for stage in _STAGES), "always", order=90,
+        ),
+        *(
+            Metric(f"{stage}_s_per_frame", title, "s/frame", "lower", 3, f"resources.{stage}_s_per_frame", "never")
+            for stage, title in zip((*_STAGES, "wall"), ("Tracking", "Stereo", "Mapping", "Wall time"), strict=True)
+        ),
+    )  # fmt: skip
 
     def __init__(self, config: PluginConfig) -> None:
         self.config = config

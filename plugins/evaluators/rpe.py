@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.contracts.evaluator import Evaluator
+from bench.contracts.metric import Metric
+from bench.contracts.saved_run import SavedRun
 from bench.errors import BenchError
 from bench.evaluation.rpe import relative_pose_error
 from bench.evaluation.run_trajectory import estimate_and_truth
-from bench.evaluation.saved_run import SavedRun
 from bench.registry import PluginConfig, register
 
 
@@ -28,6 +29,11 @@ class RpeConfig(PluginConfig):
 @register("evaluator", "rpe", config=RpeConfig)
 class RpeEvaluator(Evaluator):
     """Relative pose error of consecutive frames, metres and degrees; lost frames break pairs."""
+
+    metrics = (
+        Metric("rpe_trans_rmse_m", "RPE", "m", "lower", 4, "trajectory.rpe_trans_rmse_m", order=20),
+        Metric("rpe_rot_mean_deg", "RPE rotation", "deg", "lower", 3, "trajectory.rpe_rot_mean_deg", "never", order=21),
+    )
 
     def __init__(self, config: RpeConfig) -> None:
         self._config = config

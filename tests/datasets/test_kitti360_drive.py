@@ -21,7 +21,7 @@ from kitti360_disk import (
 )
 
 from bench.cli import main
-from bench.evaluation.saved_run import SavedRun
+from bench.evaluation.saved_run import SavedRunFolder
 from plugins.datasets.kitti360 import Kitti360, Kitti360Config
 from plugins.datasets.street import Street, StreetConfig
 
@@ -88,7 +88,7 @@ def test_a_run_finds_its_way(root: Path, street: Street, tmp_path: Path) -> None
         *("tracker=stereo_orb", "evaluator=[ate]", f"output={out}", "cache.enabled=false"),
     ]
     assert main(["run", *overrides]) == 0
-    tracked = SavedRun(out).trajectory
+    tracked = SavedRunFolder(out).trajectory
     numbers = [n for n in range(FRAMES) if n not in WITHOUT_POSE]
     assert tracked.numbers.tolist() == numbers
     reference = PosePath3D(poses_se3=list(street.ground_truth().T_world_cam[numbers]))

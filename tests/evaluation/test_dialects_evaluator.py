@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from tiny_run import HEIGHT, LEFT_ERROR, NUMBERS, WIDTH, TinyConfig, TinyDataset, write_tiny_run
 
+from bench.contracts.saved_run import LpipsMetric
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.folder import picture_path
@@ -124,13 +125,13 @@ def test_evaluating_again_gives_the_same_bytes(tmp_path: Path, config: dict[str,
     assert (run / "metrics.json").read_bytes() == first
 
 
-@pytest.mark.parametrize("with_image", [False, True])
+@pytest.mark.parametrize("place", ["", "before", "after"])
 def test_masked_lpips_sees_black_where_no_depth_is_known(
-    tmp_path: Path, config: dict[str, Any], monkeypatch: pytest.MonkeyPatch, with_image: bool
+    tmp_path: Path, config: dict[str, Any], monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
     """A stand-in that compares mean brightness: half of the image is black for SplaTAM, none for LoopSplat.
 
-    What the evaluator ``image`` has computed for its 8 views, left and right, is not computed again.
+    The evaluator ``image`` needs that of its 8 views, left and right; none is computed twice, whoever comes first.
     """
     monkeypatch.setattr(TinyDataset, "lidar_depth", half_known)
     seen: list[bool] = []
@@ -139,14 +140,14 @@ def test_masked_lpips_sees_black_where_no_depth_is_known(
         seen.append(not images[0][HEIGHT // 2 :].any() and not references[0][HEIGHT // 2 :].any())
         return [float(images[0].mean() - references[0].mean())]
 
-    for module in ("dialects", "image_quality"):
-        monkeypatch.setattr(f"plugins.evaluators.{module}.lpips_of", lambda run: (brightness, {}))
+    monkeypatch.setattr("bench.evaluation.run_lpips.lpips_of", lambda run: LpipsMetric(brightness))
     config["evaluator"]["dialects"]["views"] = "all"
-    if with_image:
-        config["evaluator"] = {"image": {"name": "image"}} | config["evaluator"]
+    image = {"image": {"name": "image"}}
+    config["evaluator"] = {"": {}, "before": image}.get(place, {}) | config["evaluator"]
+    config["evaluator"] |= image if place == "after" else {}
     dialects = evaluate_run(write_tiny_run(tmp_path / "run", config))["dialects"]
     mean_error = np.mean(list(LEFT_ERROR.values()))
     assert dialects["loopsplat"]["lpips"] == dialects["monogs"]["lpips"] == pytest.approx(mean_error)
     assert dialects["splatam"]["lpips"] == pytest.approx(mean_error / 2)
     assert seen.count(True) == 4, "SplaTAM's"
-    assert seen.count(False) == (8 if with_image else 4)
+    assert seen.count(False) == (8 if place else 4)

@@ -15,7 +15,7 @@ from tiny_run import HELD_OUT, LEFT_ERROR, LOST, NUMBERS, RIGHT_ERROR, write_tin
 
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run, merge
-from bench.evaluation.saved_run import SavedRun
+from bench.evaluation.saved_run import SavedRunFolder
 from bench.runs.folder import RunFolder, picture_path
 
 NONE_DONE = {"tracked": 0, "ok": 0, "weak": 0, "lost": 0, "lost_stretches": [], "mapped": 0}
@@ -114,9 +114,9 @@ def test_evaluating_again_gives_the_same_bytes(tiny_run: Path) -> None:
 
 
 def test_each_frame_is_decoded_once(tiny_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = SavedRun(tiny_run)
+    run = SavedRunFolder(tiny_run)
     decoded = run.dataset.decoded  # type: ignore[attr-defined]
-    monkeypatch.setattr("bench.evaluation.run_evaluators.SavedRun", lambda path: run)
+    monkeypatch.setattr("bench.evaluation.run_evaluators.SavedRunFolder", lambda path: run)
     steps: list[tuple[str, int, int]] = []
     evaluate_run(tiny_run, lambda *step: steps.append(step))
     assert decoded == [number for number in NUMBERS if number != LOST]
@@ -222,9 +222,9 @@ def test_damaged_folders_are_named(tiny_run: Path, file: str, content: str | Non
 
 def test_a_folder_that_is_no_run(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="There is no run folder"):
-        SavedRun(tmp_path / "nothing")
+        SavedRunFolder(tmp_path / "nothing")
     with pytest.raises(BenchError, match=r"has no config\.yaml that `bgs-bench run` wrote"):
-        SavedRun(tmp_path)
+        SavedRunFolder(tmp_path)
 
 
 def test_trajectories_come_back_bit_by_bit(tmp_path: Path, tiny_run: Path) -> None:
@@ -238,11 +238,11 @@ def test_trajectories_come_back_bit_by_bit(tmp_path: Path, tiny_run: Path) -> No
     two = read_trajectory_csv(tmp_path / "t.csv")
     assert np.array_equal(one.T_world_cam, two.T_world_cam)
     assert np.array_equal(one.timestamps, two.timestamps)
-    assert list(SavedRun(tiny_run).trajectory.numbers) == [10, 11, 13, 14]
+    assert list(SavedRunFolder(tiny_run).trajectory.numbers) == [10, 11, 13, 14]
 
 
 def test_depth_comes_back_in_metres(tiny_run: Path) -> None:
-    run = SavedRun(tiny_run)
+    run = SavedRunFolder(tiny_run)
     depth = run.depth("left", 10)
     assert depth is not None
     assert np.all(depth == 10.0)

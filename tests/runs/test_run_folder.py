@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from bench.errors import BenchError
-from bench.evaluation.saved_run import SavedRun
+from bench.evaluation.saved_run import SavedRunFolder
 from bench.runs.folder import RunFolder, color_to_8bit, depth_to_16bit
 from bench.runs.status import RunStatus, current_status, read_status, write_status
 from bench.types import RenderedView, Trajectory
@@ -31,7 +31,7 @@ CONFIG: dict[str, Any] = {
 
 def test_the_config_comes_back(tmp_path: Path) -> None:
     RunFolder.create(tmp_path / "deep" / "run", CONFIG, "abc123", rerun=False)
-    run = SavedRun(tmp_path / "deep" / "run")
+    run = SavedRunFolder(tmp_path / "deep" / "run")
     assert run.config == CONFIG
     assert run.config_hash == "abc123"
 

@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from bench.contracts.saved_run import SavedView
 from bench.evaluation.dialects.dialect import Dialect
 from bench.evaluation.regions import unit_range
-from bench.types import Image, Map, Mask
+from bench.types import Image
 
 METRICS = ("psnr_db", "ssim", "lpips", "depth_l1_cm")
 
@@ -17,45 +18,30 @@ Distance = Callable[[Sequence[Image], Sequence[Image]], list[float]]
 
 
 def score_view(
-    dialects: Sequence[Dialect],
-    render: Image,
-    image: Image,
-    depth: Map | None,
-    reference: Map | None,
-    lpips: Distance | None,
-    whole_lpips: float | None = None,
+    dialects: Sequence[Dialect], view: SavedView, render: Image, lpips: Distance | None
 ) -> dict[str, Scores]:
     """``METRICS`` by name of the dialect; None where one can't be had, NaN or infinite where its formula is.
 
-    ``render`` and ``image`` are uint8 (H, W, 3) of the same size, ``depth`` and ``reference`` float32 (H, W) metres.
-    ``whole_lpips`` is the LPIPS of the whole images where it is known already.
+    ``render`` is the view's, uint8 (H, W, 3); ``lpips`` serves masked images, whole ones have ``view.lpips``.
     """
+    image, depth, reference = view.image, view.depth, view.lidar
     known = None if reference is None else reference > 0
     colors = unit_range(render), unit_range(image)
-    distances: dict[bool, float | None] = {} if whole_lpips is None else {False: whole_lpips}
+    masked_lpips: float | None = None
     scores: dict[str, Scores] = {}
     for dialect in dialects:
         if dialect.needs_depth and known is None:
             scores[dialect.name] = dict.fromkeys(METRICS)
             continue
-        is_masked = dialect.lpips_is_masked
-        if is_masked not in distances:
-            distances[is_masked] = _distance(lpips, render, image, known if is_masked else None)
+        if dialect.lpips_is_masked and masked_lpips is None and lpips is not None and known is not None:
+            masked_lpips = lpips(*([picture * known[..., None].astype(np.uint8)] for picture in (render, image)))[0]
         depth_l1 = None
         if dialect.depth_l1_m is not None and depth is not None and reference is not None:
             depth_l1 = 100.0 * dialect.depth_l1_m(depth, reference)
         scores[dialect.name] = {
             "psnr_db": dialect.psnr_db(*colors, known),
             "ssim": dialect.ssim(*colors, known) if min(image.shape[:2]) >= dialect.ssim_minimum_side else None,
-            "lpips": distances[is_masked],
+            "lpips": masked_lpips if dialect.lpips_is_masked else view.lpips,
             "depth_l1_cm": depth_l1,
         }
     return scores
-
-
-def _distance(lpips: Distance | None, render: Image, image: Image, known: Mask | None) -> float | None:
-    if lpips is None:
-        return None
-    if known is not None:
-        render, image = (picture * known[..., None].astype(np.uint8) for picture in (render, image))
-    return lpips([render], [image])[0]
