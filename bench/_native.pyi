@@ -55,7 +55,9 @@ def normal_loss(
     fy: float,
     cx: float,
     cy: float,
+    weight: float,
     grad_depth: Any,
+    add: bool,
 ) -> float: ...
 def smooth_loss(
     depth: Any,
@@ -66,7 +68,9 @@ def smooth_loss(
     fy: float,
     cx: float,
     cy: float,
+    weight: float,
     grad_depth: Any,
+    add: bool,
 ) -> float: ...
 def geo_loss(
     depth: Any,
@@ -75,8 +79,10 @@ def geo_loss(
     depth_mask: Any,
     edge_weight: Any | None,
     stride: int,
+    weight: float,
     grad_depth: Any,
     grad_alpha: Any | None,
+    add: bool,
 ) -> float: ...
 def adam_step(
     params: Any,

@@ -70,17 +70,15 @@ class Subject:
 
 
 def make_case(height: int, width: int, seed: int, dtype: torch.dtype = torch.float64, known: float = 0.8) -> Case:
-    """A render and a target of noise: depths of 3 to 8 m, known at a share of the pixels, sky at a tenth, alpha 0.05
-    to 1."""
+    """A render and a target of noise: depths of 3 to 8 m, known at a share of the pixels, alpha 0.05 to 1."""
     rng = np.random.default_rng(seed)
 
     def noise(low: float, high: float, *shape: int) -> Tensor:
         return torch.from_numpy(rng.uniform(low, high, shape)).to(dtype)
 
-    sky = torch.from_numpy(rng.random((height, width)) < 0.1)
-    mask = torch.from_numpy(rng.random((height, width)) < known) & ~sky
+    mask = torch.from_numpy(rng.random((height, width)) < known)
     view = PinholeView(np.eye(4), 30.0, 30.0, width / 2 - 0.5, height / 2 - 0.5, width, height)
-    target = Target(noise(0, 1, 3, height, width), noise(3, 8, height, width) * mask, mask, sky, view)
+    target = Target(noise(0, 1, 3, height, width), noise(3, 8, height, width) * mask, mask, view)
     if dtype == torch.float64:
         # The C++ core has them in float32 only.
         mean = gaussian_blur(target.image)

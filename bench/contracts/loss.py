@@ -42,8 +42,32 @@ class LossValue:
     grad_alpha: Tensor | None = None
 
 
+@dataclass
+class ImageGradients:
+    """Gradients by the rendered images of the terms added so far, times their weights (None = zero)."""
+
+    color: Tensor | None = None
+    depth: Tensor | None = None
+    alpha: Tensor | None = None
+
+    def add(self, image: str, grad: Tensor | None, weight: float) -> None:
+        """Add a term's unweighted gradient by one image."""
+        if grad is not None:
+            total = getattr(self, image)
+            setattr(self, image, grad * weight if total is None else total.add_(grad, alpha=weight))
+
+    def open(self, rendered: Rendered, *images: str) -> bool:
+        """Have memory for these images' gradients; whether a kernel must add to what it holds, else overwrite it."""
+        missing = [image for image in images if getattr(self, image) is None]
+        add = len(missing) < len(images)
+        for image in missing:
+            like = getattr(rendered, image)
+            setattr(self, image, torch.zeros_like(like) if add else torch.empty_like(like))
+        return add
+
+
 def runs_in_core(rendered: Rendered, target: Target) -> bool:
-    """Whether the C++ core can evaluate a term of these images: float32 on the CPU. Terms that it knows use it then."""
+    """Whether the C++ core can evaluate a term of these images: float32 on the CPU."""
     images = (rendered.depth, rendered.alpha, target.depth)
     return all(image.device.type == "cpu" and image.dtype == torch.float32 for image in images)
 
@@ -61,6 +85,13 @@ class LossTerm(ABC):
     def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
         """Value and gradients for one render."""
 
+    def add_to(self, sums: ImageGradients, rendered: Rendered, target: Target) -> float:
+        """Add the weighted gradients for one render to ``sums``; the unweighted value."""
+        value = self.evaluate(rendered, target)
+        for image in ("color", "depth", "alpha"):
+            sums.add(image, getattr(value, f"grad_{image}"), self.config.weight)
+        return value.value
+
 
 class TorchLoss(LossTerm):
     """A term written as a scalar torch function; autograd gives its gradients."""
@@ -77,3 +108,23 @@ class TorchLoss(LossTerm):
             return LossValue(float(value))
         grads = torch.autograd.grad(value, leaves, allow_unused=True)
         return LossValue(float(value.detach()), *grads)
+
+
+class CoreLoss(TorchLoss):
+    """A torch term that the C++ core has too, value and weighted gradient in one pass, for float32 on the CPU."""
+
+    @abstractmethod
+    def in_core(self, sums: ImageGradients, rendered: Rendered, target: Target, weight: float) -> float:
+        """Add ``weight`` times the gradients for one render to ``sums``; the unweighted value."""
+
+    def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
+        if not runs_in_core(rendered, target):
+            return super().evaluate(rendered, target)
+        sums = ImageGradients()
+        value = self.in_core(sums, rendered, target, 1.0)
+        return LossValue(value, sums.color, sums.depth, sums.alpha)
+
+    def add_to(self, sums: ImageGradients, rendered: Rendered, target: Target) -> float:
+        if not runs_in_core(rendered, target):
+            return super().add_to(sums, rendered, target)
+        return self.in_core(sums, rendered, target, self.config.weight)

@@ -6,16 +6,10 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from bench.contracts.loss import LossTerm
+from bench.contracts.loss import ImageGradients, LossTerm
 from bench.contracts.rasterizer import Rendered
 from bench.supervision.photometric import photometric
 from bench.supervision.target import Target
-
-
-def _add(total: Tensor | None, grad: Tensor | None, weight: float) -> Tensor | None:
-    if grad is None:
-        return total
-    return grad * weight if total is None else total.add_(grad, alpha=weight)
 
 
 class LossStack:
@@ -33,18 +27,12 @@ class LossStack:
     ) -> tuple[dict[str, float], tuple[Tensor | None, Tensor | None, Tensor | None]]:
         """Unweighted value of each term by name, and the weighted gradients by colour, depth and alpha."""
         values: dict[str, float] = {}
-        color: Tensor | None = None
-        depth: Tensor | None = None
-        alpha: Tensor | None = None
+        sums = ImageGradients()
         if self._photometric:
-            l1, ssim, color = photometric(rendered.color, target, self._l1, self._ssim)
+            l1, ssim, sums.color = photometric(rendered.color, target, self._l1, self._ssim)
             for term in self._photometric:
                 assert term.photometric is not None
                 values[term.config.name] = term.photometric[0] * l1 + term.photometric[1] * (1.0 - ssim)
         for term in self._others:
-            value = term.evaluate(rendered, target)
-            values[term.config.name] = value.value
-            color = _add(color, value.grad_color, term.config.weight)
-            depth = _add(depth, value.grad_depth, term.config.weight)
-            alpha = _add(alpha, value.grad_alpha, term.config.weight)
-        return values, (color, depth, alpha)
+            values[term.config.name] = term.add_to(sums, rendered, target)
+        return values, (sums.color, sums.depth, sums.alpha)

@@ -8,8 +8,9 @@ namespace {
 
 #include "kernels_project.inc"
 #include "kernels_raster.inc"
-#include "kernels_loss.inc"
-#include "kernels_geometry.inc"
+#include "kernels_photometric.inc"
+#include "kernels_depth_losses.inc"
+#include "kernels_adam.inc"
 
 }  // namespace
 

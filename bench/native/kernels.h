@@ -13,7 +13,7 @@ namespace bgs {
 constexpr float LOG2_255 = 7.99435344f;         // alpha >= ALPHA_MIN where log2(alpha) >= -LOG2_255
 constexpr int TILE_W = 32, TILE_H = 16;
 constexpr int SLOT = 10;                        // sums a Gaussian collects in a tile: 6 moments, 3 colours, depth
-constexpr int GEOMETRY_BAND = 32;               // rows of one task of a geometric loss term
+constexpr int LOSS_BAND = 32;                   // rows of one task of a loss term on depth
 constexpr float ALPHA_FLOOR = 1e-6f;            // depth / alpha divides by at least this
 constexpr int CHUNK = 2048;                     // Gaussians of one projection task; a multiple of 8
 
@@ -98,6 +98,13 @@ struct PhotometricArgs {
     double* sums;          // per task: sum of |error|, sum of SSIM
 };
 
+// Where a loss term's gradient by an image goes.
+struct GradientSum {
+    float* image;          // null: nowhere
+    float weight;          // of the term
+    bool add;              // to what is there; else it is overwritten
+};
+
 // A rendered surface, and where the gradient of a loss on its normals goes.
 struct SurfaceArgs {
     const float *depth, *alpha;
@@ -105,7 +112,7 @@ struct SurfaceArgs {
     float inv_fx, inv_fy, cx, cy;
     float covered;         // a pixel's depth is known where alpha is above this
     float scale;           // of the gradient: 1 / number of normals
-    float* grad;           // by depth; written
+    GradientSum grad;      // by depth
 };
 
 struct NormalArgs {
@@ -126,9 +133,9 @@ struct GeoArgs {
     const float* target;
     const bool* mask;
     const float* edge_weight;    // null = 1
-    float *grad_depth, *grad_alpha;  // written; grad_alpha is null where alpha is
+    GradientSum grad_depth, grad_alpha;  // grad_alpha is null where alpha is
     int width, height, stride;
-    float weight;          // 1 / number of pixels on the grid
+    float per_pixel;       // 1 / number of pixels on the grid
 };
 
 struct AdamArgs {
@@ -160,7 +167,7 @@ struct KernelTable {
 // floats of scratch that one photometric task needs
 inline size_t photometric_scratch(int width) { return static_cast<size_t>(width + 32) * (11 * 6 + 3); }
 
-// and that one task of a geometric term needs
+// and that one task of a term on depth needs
 inline size_t geo_scratch(int width) { return static_cast<size_t>(width + 16); }
 inline size_t normal_scratch(int width) { return static_cast<size_t>(width + 16) * 4; }
 inline size_t smooth_scratch(int width, int reach) { return static_cast<size_t>(width + 16) * 7 * (static_cast<size_t>(reach) + 2); }

@@ -70,6 +70,15 @@ typedef int32_t i8 __attribute__((vector_size(32)));
 // The lanes of v where the mask is set, zero elsewhere, whatever v holds there.
 [[maybe_unused]] inline f8 only(i8 mask, f8 v) { return reinterpret_cast<f8>(mask & reinterpret_cast<i8>(v)); }
 
+// a b + c, rounded once where the machine can.
+[[maybe_unused]] inline f8 multiply_add(f8 a, f8 b, f8 c) {
+#if defined(__AVX2__)
+    return reinterpret_cast<f8>(_mm256_fmadd_ps(reinterpret_cast<__m256>(a), reinterpret_cast<__m256>(b), reinterpret_cast<__m256>(c)));
+#else
+    return a * b + c;
+#endif
+}
+
 [[maybe_unused]] inline f8 sqrt8(f8 x) {
 #if defined(__AVX2__)
     return reinterpret_cast<f8>(_mm256_sqrt_ps(reinterpret_cast<__m256>(x)));

@@ -19,13 +19,12 @@ class Target:
     """Supervision of one view at one resolution, as tensors on the rasterizer's device.
 
     ``image`` (3, H, W) RGB in [0, 1]; ``depth`` (H, W) metres, 0 where it does not supervise; ``depth_mask`` (H, W)
-    bool, the paper's M: stereo depth known, within the depth range, not sky; ``sky`` (H, W) bool.
+    bool, the paper's M: stereo depth known, within the depth range, not sky.
     """
 
     image: Tensor
     depth: Tensor
     depth_mask: Tensor
-    sky: Tensor
     view: PinholeView
 
     @cached_property
@@ -53,9 +52,7 @@ class Target:
         h, w = view.height, view.width
         image = torch.nn.functional.avg_pool2d(self.image[None], 2)[0].contiguous()
         pick = (slice(0, 2 * h, 2), slice(0, 2 * w, 2))
-        return Target(
-            image, self.depth[pick].contiguous(), self.depth_mask[pick].contiguous(), self.sky[pick].contiguous(), view
-        )
+        return Target(image, self.depth[pick].contiguous(), self.depth_mask[pick].contiguous(), view)
 
 
 def target_of(
@@ -71,6 +68,5 @@ def target_of(
         image,
         torch.from_numpy(np.where(mask, depth, 0.0).astype(np.float32)).to(device),
         torch.from_numpy(mask).to(device),
-        torch.from_numpy(sky).to(device),
         view,
     )

@@ -6,8 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
-from bench.contracts.loss import LossConfig, LossTerm, LossValue, runs_in_core
+from bench.contracts.loss import CoreLoss, ImageGradients, LossConfig
 from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError, require_choice
 from bench.registry import register
@@ -33,47 +34,33 @@ class GeoConfig(LossConfig):
 
 
 @register("loss", "geo", config=GeoConfig)
-class GeoLoss(LossTerm):
+class GeoLoss(CoreLoss):
     """Mean over a pixel grid of g log(1 + M |D - D_rendered|) (paper, sampled geometric loss)."""
 
-    def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
-        """Value, and the gradients (H, W) by depth and, for normalized depth, by alpha."""
-        return self._in_core(rendered, target) if runs_in_core(rendered, target) else self._in_torch(rendered, target)
-
-    def _in_core(self, rendered: Rendered, target: Target) -> LossValue:
+    def in_core(self, sums: ImageGradients, rendered: Rendered, target: Target, weight: float) -> float:
         import bench._native as _native
 
         normalized = self.config.rendered_depth == "normalized"
-        grad_depth = torch.empty_like(rendered.depth)
-        grad_alpha = torch.empty_like(rendered.alpha) if normalized else None
-        value = _native.geo_loss(
+        add = sums.open(rendered, "depth", "alpha") if normalized else sums.open(rendered, "depth")
+        return _native.geo_loss(
             rendered.depth,
             rendered.alpha if normalized else None,
             target.depth,
             target.depth_mask,
             target.edge_weight if self.config.edge_weighted else None,
             self.config.stride,
-            grad_depth,
-            grad_alpha,
+            weight,
+            sums.depth,
+            sums.alpha if normalized else None,
+            add,
         )
-        return LossValue(value, grad_depth=grad_depth, grad_alpha=grad_alpha)
 
-    def _in_torch(self, rendered: Rendered, target: Target) -> LossValue:
+    def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
         grid = (slice(None, None, self.config.stride),) * 2
         mask = target.depth_mask[grid]
-        depth, alpha = rendered.depth[grid], rendered.alpha[grid]
-        normalized = self.config.rendered_depth == "normalized"
-        shown = depth / alpha.clamp_min(1e-6) if normalized else depth
-        difference = (shown - target.depth[grid]) * mask
-        distance = difference.abs()
-        weight = target.edge_weight[grid] / mask.numel() if self.config.edge_weighted else 1.0 / mask.numel()
-        value = (weight * torch.log1p(distance)).sum()
-        by_shown = weight * torch.sign(difference) / (1.0 + distance)
-        grad_depth = torch.zeros_like(rendered.depth)
-        if not normalized:
-            grad_depth[grid] = by_shown
-            return LossValue(float(value), grad_depth=grad_depth)
-        grad_alpha = torch.zeros_like(rendered.alpha)
-        grad_depth[grid] = by_shown / alpha.clamp_min(1e-6)
-        grad_alpha[grid] = torch.where(alpha > 1e-6, -by_shown * shown / alpha.clamp_min(1e-6), 0.0)
-        return LossValue(float(value), grad_depth=grad_depth, grad_alpha=grad_alpha)
+        shown = depth[grid]
+        if self.config.rendered_depth == "normalized":
+            shown = shown / alpha[grid].clamp_min(1e-6)
+        distance = ((shown - target.depth[grid]) * mask).abs()
+        weight = target.edge_weight[grid] if self.config.edge_weighted else 1.0
+        return (weight * torch.log1p(distance)).sum() / mask.numel()

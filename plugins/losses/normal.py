@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from bench.contracts.loss import LossConfig, LossValue, TorchLoss, runs_in_core
+from bench.contracts.loss import CoreLoss, ImageGradients, LossConfig
 from bench.contracts.rasterizer import Rendered
 from bench.geometry.normals import normals_from_depth
 from bench.registry import register
@@ -25,21 +25,17 @@ class NormalConfig(LossConfig):
 
 
 @register("loss", "normal", config=NormalConfig)
-class NormalLoss(TorchLoss):
+class NormalLoss(CoreLoss):
     """Mean L1 distance of the normals of stereo depth and of rendered depth, where both are valid."""
 
-    def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
-        """Value, and the gradient by depth (H, W); alpha only says where the depth counts."""
-        if not runs_in_core(rendered, target):
-            return super().evaluate(rendered, target)
+    def in_core(self, sums: ImageGradients, rendered: Rendered, target: Target, weight: float) -> float:
         import bench._native as _native
 
-        grad, view = torch.empty_like(rendered.depth), target.view
-        normals, valid = target.normals
-        value = _native.normal_loss(
-            rendered.depth, rendered.alpha, COVERED, normals, valid, view.fx, view.fy, view.cx, view.cy, grad
+        add, view = sums.open(rendered, "depth"), target.view
+        intrinsics = (view.fx, view.fy, view.cx, view.cy)
+        return _native.normal_loss(
+            rendered.depth, rendered.alpha, COVERED, *target.normals, *intrinsics, weight, sums.depth, add
         )
-        return LossValue(value, grad_depth=grad)
 
     def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
         rendered, rendered_valid = normals_from_depth(depth, alpha.detach() > COVERED, target.view)

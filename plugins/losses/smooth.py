@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from bench.contracts.loss import LossConfig, LossValue, TorchLoss, runs_in_core
+from bench.contracts.loss import CoreLoss, ImageGradients, LossConfig
 from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError
 from bench.geometry.normals import normals_from_depth
@@ -31,20 +31,17 @@ class SmoothConfig(LossConfig):
 
 
 @register("loss", "smooth", config=SmoothConfig)
-class SmoothLoss(TorchLoss):
+class SmoothLoss(CoreLoss):
     """Norm of the differences of rendered normals to the neighbours below and to the right, over valid depth values."""
 
-    def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
-        """Value, and the gradient by depth (H, W); alpha only says where the depth counts."""
-        if not runs_in_core(rendered, target):
-            return super().evaluate(rendered, target)
+    def in_core(self, sums: ImageGradients, rendered: Rendered, target: Target, weight: float) -> float:
         import bench._native as _native
 
-        grad, view, distances = torch.empty_like(rendered.depth), target.view, list(self.config.distances)
-        value = _native.smooth_loss(
-            rendered.depth, rendered.alpha, COVERED, distances, view.fx, view.fy, view.cx, view.cy, grad
+        add, view = sums.open(rendered, "depth"), target.view
+        intrinsics, distances = (view.fx, view.fy, view.cx, view.cy), list(self.config.distances)
+        return _native.smooth_loss(
+            rendered.depth, rendered.alpha, COVERED, distances, *intrinsics, weight, sums.depth, add
         )
-        return LossValue(value, grad_depth=grad)
 
     def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
         normal, valid = normals_from_depth(depth, alpha.detach() > COVERED, target.view)

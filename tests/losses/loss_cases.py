@@ -24,7 +24,7 @@ def random_case(height: int, width: int, seed: int) -> tuple[Rendered, Target]:
 
     mask = torch.from_numpy(rng.random((height, width)) < 0.8)
     depth = tensor(3, 8, height, width) * mask
-    target = Target(tensor(0, 1, 3, height, width), depth, mask, torch.zeros_like(mask), view_of(height, width))
+    target = Target(tensor(0, 1, 3, height, width), depth, mask, view_of(height, width))
     rendered = Rendered(
         tensor(-0.1, 1.2, 3, height, width), tensor(3, 8, height, width), tensor(0.05, 1, height, width)
     )
@@ -35,12 +35,12 @@ def flat_target(depth: torch.Tensor, view: PinholeView, mask: torch.Tensor | Non
     """A target with a uniformly grey image, for terms that look at depth only."""
     known = torch.ones_like(depth, dtype=torch.bool) if mask is None else mask
     grey = torch.full((3, *depth.shape), 0.5, dtype=depth.dtype)
-    return Target(grey, depth * known, known, torch.zeros_like(known), view)
+    return Target(grey, depth * known, known, view)
 
 
 def in_double(rendered: Rendered, target: Target) -> tuple[Rendered, Target]:
     """The same case in float64, where the terms run in torch: the oracle of the C++ core."""
     return (
         Rendered(rendered.color.double(), rendered.depth.double(), rendered.alpha.double()),
-        Target(target.image.double(), target.depth.double(), target.depth_mask, target.sky, target.view),
+        Target(target.image.double(), target.depth.double(), target.depth_mask, target.view),
     )

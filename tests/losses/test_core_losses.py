@@ -1,4 +1,4 @@
-"""The geometric terms in the C++ core against their torch form in float64, also where vectors and bands end oddly."""
+"""The terms on depth in the C++ core against their torch form in float64, also where vectors and bands end oddly."""
 
 from __future__ import annotations
 
@@ -131,10 +131,10 @@ def _call(name: str, rendered: Rendered, target: Target, grad: Tensor) -> float:
     view = target.view
     intrinsics = (view.fx, view.fy, view.cx, view.cy)
     if name == "geo":
-        return _native.geo_loss(rendered.depth, None, target.depth, target.depth_mask, None, 2, grad, None)
+        return _native.geo_loss(rendered.depth, None, target.depth, target.depth_mask, None, 2, 1.0, grad, None, False)
     if name == "normal":
-        return _native.normal_loss(rendered.depth, rendered.alpha, 0.5, *target.normals, *intrinsics, grad)
-    return _native.smooth_loss(rendered.depth, rendered.alpha, 0.5, [1, 3], *intrinsics, grad)
+        return _native.normal_loss(rendered.depth, rendered.alpha, 0.5, *target.normals, *intrinsics, 1.0, grad, False)
+    return _native.smooth_loss(rendered.depth, rendered.alpha, 0.5, [1, 3], *intrinsics, 1.0, grad, False)
 
 
 @pytest.mark.parametrize("width", range(1, 18))
@@ -168,22 +168,22 @@ def test_targets_of_another_shape_are_refused() -> None:
         (normals, mask[:3], "target_valid must have the shape of depth"),
     ):
         with pytest.raises(ValueError, match=text):
-            _native.normal_loss(image, image, 0.5, other, valid, 1.0, 1.0, 0.0, 0.0, image.clone())
+            _native.normal_loss(image, image, 0.5, other, valid, 1.0, 1.0, 0.0, 0.0, 1.0, image.clone(), False)
     for valid, edge_weight, text in ((mask[:3], None, "depth_mask"), (mask, image[:3], "edge_weight")):
         with pytest.raises(ValueError, match=f"{text} must have the shape of depth"):
-            _native.geo_loss(image, None, image, valid, edge_weight, 1, image.clone(), None)
+            _native.geo_loss(image, None, image, valid, edge_weight, 1, 1.0, image.clone(), None, False)
 
 
 def test_settings_out_of_range_are_refused() -> None:
     image, mask = torch.ones(4, 4), torch.ones(4, 4, dtype=torch.bool)
     with pytest.raises(ValueError, match="distances must be at least 1"):
-        _native.smooth_loss(image, image, 0.5, [1, 0], 1.0, 1.0, 0.0, 0.0, image.clone())
+        _native.smooth_loss(image, image, 0.5, [1, 0], 1.0, 1.0, 0.0, 0.0, 1.0, image.clone(), False)
     with pytest.raises(ValueError, match="focal lengths must be positive"):
-        _native.smooth_loss(image, image, 0.5, [1], 0.0, 1.0, 0.0, 0.0, image.clone())
+        _native.smooth_loss(image, image, 0.5, [1], 0.0, 1.0, 0.0, 0.0, 1.0, image.clone(), False)
     with pytest.raises(ValueError, match="stride must be at least 1"):
-        _native.geo_loss(image, None, image, mask, None, 0, image.clone(), None)
+        _native.geo_loss(image, None, image, mask, None, 0, 1.0, image.clone(), None, False)
     with pytest.raises(ValueError, match="give alpha and grad_alpha, or neither"):
-        _native.geo_loss(image, image, image, mask, None, 1, image.clone(), None)
+        _native.geo_loss(image, image, image, mask, None, 1, 1.0, image.clone(), None, False)
 
 
 @pytest.mark.skipif(_native.instruction_set() == "baseline", reason="these are the baseline kernels already")

@@ -9,7 +9,7 @@ import torch
 from loss_cases import random_case
 from torch import Tensor
 
-from bench import registry
+from bench import _native, registry
 from bench.contracts.loss import LossConfig, TorchLoss
 from bench.gaussians.loss_stack import LossStack
 from bench.registry import register
@@ -17,6 +17,7 @@ from bench.supervision.target import Target
 from plugins.losses.geo import GeoConfig, GeoLoss
 from plugins.losses.normal import NormalConfig, NormalLoss
 from plugins.losses.rgb import RgbConfig, RgbLoss
+from plugins.losses.smooth import SmoothConfig, SmoothLoss
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,32 @@ def test_gradients_of_several_terms_add_up() -> None:
     assert separate[0] is not None
     assert separate[1] is not None
     torch.testing.assert_close(depth, 0.3 * separate[0] + 0.7 * separate[1])
+
+
+@pytest.mark.parametrize("first", ["geo", "normal"])
+def test_weights_inside_the_kernels_are_those_of_torch(first: str) -> None:
+    """The core multiplies and adds in the order and with the roundings of grad * w and torch.add(alpha=w)."""
+    rendered, target = random_case(21, 19, seed=5)
+    geo = GeoLoss(GeoConfig("geo", 0.3, rendered_depth="normalized"))
+    normal, smooth = NormalLoss(NormalConfig("normal", 0.7)), SmoothLoss(SmoothConfig("smooth", 0.9))
+    terms = [geo, normal, smooth] if first == "geo" else [normal, smooth, geo]
+    expected: dict[str, Tensor | None] = {"depth": None, "alpha": None}
+    for term in terms:
+        value = term.evaluate(rendered, target)
+        for image, sofar in expected.items():
+            grad = getattr(value, f"grad_{image}")
+            if grad is not None:
+                weighted = grad * term.config.weight
+                expected[image] = weighted if sofar is None else torch.add(sofar, grad, alpha=term.config.weight)
+    _, (_, depth, alpha) = LossStack(terms).evaluate(rendered, target)
+    assert depth is not None
+    assert alpha is not None
+    if _native.instruction_set() == "baseline":  # torch fuses multiplication and addition where the machine can
+        torch.testing.assert_close(depth, expected["depth"])
+        torch.testing.assert_close(alpha, expected["alpha"])
+    else:
+        assert torch.equal(depth, expected["depth"])  # type: ignore[arg-type]
+        assert torch.equal(alpha, expected["alpha"])  # type: ignore[arg-type]
 
 
 def test_a_constant_term_has_no_gradient() -> None:

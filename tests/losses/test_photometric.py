@@ -83,7 +83,7 @@ def test_identical_images_and_a_single_pixel_by_hand() -> None:
     vx, vy, cov = w * x * x - mx * mx, w * y * y - my * my, w * x * y - mx * my
     by_hand = (2 * mx * my + 1e-4) * (2 * cov + 9e-4) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))
     _, one = random_case(1, 1, seed=0)
-    single = Target(torch.full((3, 1, 1), y), one.depth, one.depth_mask, one.sky, one.view)
+    single = Target(torch.full((3, 1, 1), y), one.depth, one.depth_mask, one.view)
     assert photometric(torch.full((3, 1, 1), x), single, 0.0, 1.0)[1] == pytest.approx(by_hand, rel=1e-5)
 
 

@@ -32,11 +32,11 @@ def render_and_back(rasterizer: CpuRasterizer, planes: Tensor) -> Callable[[], G
 
 
 def whole_iteration(rasterizer: CpuRasterizer, planes: Tensor) -> Callable[[], None]:
-    """Render, L1 + SSIM + sampled geometric loss, backward, Adam: what one iteration of mapping does."""
+    """Render, L1 + SSIM + sampled depth loss, backward, Adam: what one iteration of mapping does."""
     generator = torch.Generator().manual_seed(2)
     depth = 2.0 + 78.0 * torch.rand(*SIZE, generator=generator)
-    nowhere = torch.zeros(*SIZE, dtype=torch.bool)
-    target = Target(torch.rand(3, *SIZE, generator=generator), depth, ~nowhere, nowhere, VIEW)
+    everywhere = torch.ones(*SIZE, dtype=torch.bool)
+    target = Target(torch.rand(3, *SIZE, generator=generator), depth, everywhere, VIEW)
     losses = LossStack([lookup("loss", n).cls(lookup("loss", n).config(name=n)) for n in ("rgb", "ssim", "geo")])
     optimizer = MapOptimizer(LearningRates(0.0, 0.0, 0.0, 0.0, 0.0), torch.device("cpu"))
     optimizer.grow(planes.shape[1])

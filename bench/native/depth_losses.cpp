@@ -1,13 +1,13 @@
-// Runs the kernels of the geometric loss terms band by band; their sums are added in the order of the bands.
+// Runs the kernels of the loss terms on depth band by band; their sums are added in the order of the bands.
 #include <vector>
 
-#include "engine.h"
+#include "losses.h"
 
 namespace bgs {
 
 namespace {
 
-int bands(int height) { return (height + GEOMETRY_BAND - 1) / GEOMETRY_BAND; }
+int bands(int height) { return (height + LOSS_BAND - 1) / LOSS_BAND; }
 
 // The sum of kernel(task, scratch) over the bands; each thread has its own scratch.
 template <typename Kernel>
@@ -49,7 +49,7 @@ double smooth_loss(SmoothArgs args) {
 
 double geo_loss(GeoArgs args) {
     const auto on_grid = [&](int size) { return (size + args.stride - 1) / args.stride; };
-    args.weight = static_cast<float>(1.0 / (static_cast<double>(on_grid(args.width)) * on_grid(args.height)));
+    args.per_pixel = static_cast<float>(1.0 / (static_cast<double>(on_grid(args.width)) * on_grid(args.height)));
     const auto kernel = [&](int task, float* scratch) { return kernels().geo_loss(args, task, scratch); };
     return sum_of_bands(args.height, geo_scratch(args.width), kernel);
 }

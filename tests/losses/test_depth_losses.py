@@ -71,7 +71,7 @@ def test_geo_edge_weight_by_hand() -> None:
     column = torch.tensor([0.0, 0.4, 1.0])
     view = view_of(3, 3)
     ones = torch.ones(3, 3, dtype=torch.bool)
-    target = Target(column.expand(3, 3, 3).contiguous(), torch.full((3, 3), 4.0), ones, ~ones, view)
+    target = Target(column.expand(3, 3, 3).contiguous(), torch.full((3, 3), 4.0), ones, view)
     expected = torch.ones(3, 3)
     expected[:, 1] = np.exp(-0.5)  # (1 - 0) / 2; the first and last column have no two neighbours
     torch.testing.assert_close(target.edge_weight, expected)
@@ -87,7 +87,7 @@ def test_edge_weight_of_a_diagonal_ramp() -> None:
     y, x = torch.meshgrid(torch.arange(5.0), torch.arange(4.0), indexing="ij")
     ramp = (0.1 * x + 0.2 * y).expand(3, 5, 4).contiguous()
     mask = torch.ones(5, 4, dtype=torch.bool)
-    weight = Target(ramp, torch.ones(5, 4), mask, ~mask, view_of(5, 4)).edge_weight
+    weight = Target(ramp, torch.ones(5, 4), mask, view_of(5, 4)).edge_weight
     torch.testing.assert_close(weight[1:-1, 1:-1], torch.full((3, 2), float(np.exp(-np.sqrt(0.05)))))
 
 

@@ -1,0 +1,38 @@
+// What the Python bindings share: typed arrays (contiguous, on the CPU) and their checks.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <stdexcept>
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+void bind_rasterizer(nb::module_& m);
+void bind_losses(nb::module_& m);
+void bind_adam(nb::module_& m);
+void bind_tracking(nb::module_& m);
+
+using Array2 = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Array3 = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using Array1 = nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Flags = nb::ndarray<bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Mask = nb::ndarray<bool, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Matrix = nb::ndarray<const double, nb::shape<4, 4>, nb::c_contig, nb::device::cpu>;
+
+inline void require(bool ok, const char* what) {
+    if (!ok) throw std::invalid_argument(what);
+}
+
+inline void check_image(const Array3& a, int channels, int height, int width, const char* what) {
+    require(static_cast<int>(a.shape(0)) == channels && static_cast<int>(a.shape(1)) == height && static_cast<int>(a.shape(2)) == width, what);
+}
+
+inline void check_map(const Array2& a, int height, int width, const char* what) {
+    require(static_cast<int>(a.shape(0)) == height && static_cast<int>(a.shape(1)) == width, what);
+}
+
+inline void check_mask(const Mask& a, int height, int width, const char* what) {
+    require(static_cast<int>(a.shape(0)) == height && static_cast<int>(a.shape(1)) == width, what);
+}

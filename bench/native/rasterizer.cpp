@@ -1,0 +1,144 @@
+// Runs the rasterizer's kernels stage by stage.
+#include "rasterizer.h"
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <vector>
+
+namespace bgs {
+
+void Workspace::forward(const float* planes, size_t stride, int count, int degree, const View& view, float* color, float* depth, float* alpha) {
+    view_ = view, count_ = count, degree_ = degree, color_ = color, depth_ = depth, alpha_ = alpha;
+    tiles_x_ = (view.width + TILE_W - 1) / TILE_W, tiles_y_ = (view.height + TILE_H - 1) / TILE_H;
+    const int chunks = (count + CHUNK - 1) / CHUNK;
+    const KernelTable& k = kernels();
+    const ProjectArgs project{planes, stride, count, degree, view, records_.reserve(static_cast<size_t>(count)), boxes_.reserve(static_cast<size_t>(count)), place_.reserve(static_cast<size_t>(count)),
+                              chunk_counts_.reserve(static_cast<size_t>(chunks) + 1), first_slot_.reserve(static_cast<size_t>(chunks) + 1)};
+    pool().run(chunks, [&](int chunk) { k.project(project, chunk); });
+    sort_by_depth(chunks);
+    bin();
+    const RasterArgs raster{records_.data(), tile_start_.data(), tile_list_.data(), tile_blocks_.data(), view.width, view.height, tiles_x_, tiles_y_, color, depth, alpha};
+    pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_forward(raster, tile); });
+}
+
+// Stable radix sort of the visible Gaussians by depth; equal depths keep the order of the map.
+void Workspace::sort_by_depth(int chunks) {
+    constexpr int BITS = 11, RADIX = 1 << BITS;
+    int* starts = chunk_counts_.data();
+    uint32_t* slots = first_slot_.data();
+    int total = 0;
+    uint32_t all_slots = 0;
+    for (int c = 0; c < chunks; ++c) {
+        const int n = starts[c];
+        const uint32_t s = slots[c];
+        starts[c] = total, slots[c] = all_slots;
+        total += n, all_slots += s;
+    }
+    starts[chunks] = total;
+    visible_ = total, slots_used_ = all_slots;
+    const size_t n = static_cast<size_t>(total);
+    // All of this is over when bin() has run, so it lives where the backward pass puts the gradient slots.
+    static_assert(sizeof(uint32_t) == sizeof(float), "the sort borrows a buffer of floats");
+    uint32_t *keys = reinterpret_cast<uint32_t*>(slots_.reserve(4 * n)), *keys_other = keys + n, *order = keys_other + n, *order_other = order + n;
+    pool().run(chunks, [&](int c) {
+        const Record* from = records_.data() + static_cast<size_t>(c) * CHUNK;
+        for (int j = 0, at = starts[c]; at < starts[c + 1]; ++j, ++at) {
+            std::memcpy(&keys[at], &from[j].depth, sizeof(uint32_t));  // the bits of a positive float sort like the float
+            order[at] = static_cast<uint32_t>(c * CHUNK + j);
+        }
+    });
+    // Each part of the threads counts and then places its own stretch; the parts' buckets follow one another.
+    const int parts = pool().threads();
+    std::vector<std::array<uint32_t, RADIX>> histograms(static_cast<size_t>(parts));
+    const auto stretch = [&](int part) { return n * static_cast<size_t>(part) / static_cast<size_t>(parts); };
+    for (int shift = 0; shift < 3 * BITS; shift += BITS) {
+        pool().run(parts, [&](int part) {
+            auto& h = histograms[static_cast<size_t>(part)];
+            h.fill(0);
+            for (size_t j = stretch(part); j < stretch(part + 1); ++j) ++h[(keys[j] >> shift) & (RADIX - 1)];
+        });
+        uint32_t sum = 0;
+        for (int bucket = 0; bucket < RADIX; ++bucket)
+            for (auto& h : histograms) {
+                const uint32_t size = h[static_cast<size_t>(bucket)];
+                h[static_cast<size_t>(bucket)] = sum;
+                sum += size;
+            }
+        pool().run(parts, [&](int part) {
+            auto& h = histograms[static_cast<size_t>(part)];
+            for (size_t j = stretch(part); j < stretch(part + 1); ++j) {
+                const uint32_t to = h[(keys[j] >> shift) & (RADIX - 1)]++;
+                keys_other[to] = keys[j], order_other[to] = order[j];
+            }
+        });
+        std::swap(keys, keys_other), std::swap(order, order_other);
+    }
+    by_depth_ = order;
+}
+
+// Counting sort of (Gaussian, tile) pairs into tiles; within a tile the nearest come first.
+void Workspace::bin() {
+    const int tiles = tiles_x_ * tiles_y_, parts = pool().threads();
+    uint32_t* counts = bin_counts_.reserve(static_cast<size_t>(tiles) * parts);
+    uint32_t* start = tile_start_.reserve(static_cast<size_t>(tiles) + 1);
+    const TileBox* boxes = boxes_.data();
+    const uint32_t* by_depth = by_depth_;
+    // Each part takes a stretch of the depth order; its tiles are visited nearest first.
+    const auto each_pair = [&](int part, auto&& visit) {
+        const int begin = static_cast<int>(static_cast<int64_t>(visible_) * part / parts);
+        const int end = static_cast<int>(static_cast<int64_t>(visible_) * (part + 1) / parts);
+        for (int j = begin; j < end; ++j) {
+            if (j + 16 < end) __builtin_prefetch(&boxes[by_depth[j + 16]]);
+            const TileBox box = boxes[by_depth[j]];
+            for (int ty = box.y0; ty <= box.y1; ++ty)
+                for (int tx = box.x0; tx <= box.x1; ++tx) visit(ty * tiles_x_ + tx, by_depth[j]);
+        }
+    };
+    pool().run(parts, [&](int part) {
+        uint32_t* mine = counts + static_cast<size_t>(part) * tiles;
+        std::fill(mine, mine + tiles, 0u);
+        each_pair(part, [&](int tile, uint32_t) { ++mine[tile]; });
+    });
+    uint32_t sum = 0;
+    for (int tile = 0; tile < tiles; ++tile) {
+        start[tile] = sum;
+        for (int part = 0; part < parts; ++part) {
+            uint32_t& entry = counts[static_cast<size_t>(part) * tiles + tile];
+            const uint32_t size = entry;
+            entry = sum;
+            sum += size;
+        }
+    }
+    start[tiles] = sum;
+    uint32_t* list = tile_list_.reserve(sum);
+    tile_blocks_.reserve(sum);
+    pool().run(parts, [&](int part) {
+        uint32_t* mine = counts + static_cast<size_t>(part) * tiles;
+        each_pair(part, [&](int tile, uint32_t place) { list[mine[tile]++] = place; });
+    });
+}
+
+void Workspace::backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
+                         float* grads, size_t grads_stride, bool* touched, double* pose) {
+    const KernelTable& k = kernels();
+    float* slots = slots_.reserve(slots_used_ * SLOT);
+    const RasterArgs forward{records_.data(), tile_start_.data(), tile_list_.data(), tile_blocks_.data(), view_.width, view_.height, tiles_x_, tiles_y_, color_, depth_, alpha_};
+    const RasterBackwardArgs raster{forward, grad_color, grad_depth, grad_alpha, slots, first_slot_.data()};
+    pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_backward(raster, tile); });
+    const int chunks = (count_ + CHUNK - 1) / CHUNK;
+    double* sums = pose == nullptr ? nullptr : pose_.reserve(static_cast<size_t>(chunks) * 6);
+    const ProjectBackwardArgs project{planes, stride, count_, degree_, view_, records_.data(), place_.data(), slots, first_slot_.data(), grads, grads_stride, touched, sums};
+    pool().run(chunks, [&](int chunk) { k.project_backward(project, chunk); });
+    if (pose == nullptr) return;
+    std::fill(pose, pose + 6, 0.0);
+    for (int c = 0; c < chunks; ++c)
+        for (int j = 0; j < 6; ++j) pose[j] += sums[6 * c + j];
+}
+
+size_t Workspace::bytes() const {
+    return records_.bytes() + first_slot_.bytes() + chunk_counts_.bytes() + tile_start_.bytes() + tile_list_.bytes() + tile_blocks_.bytes() + boxes_.bytes() + bin_counts_.bytes() +
+           place_.bytes() + slots_.bytes() + pose_.bytes();
+}
+
+}  // namespace bgs

@@ -1,0 +1,72 @@
+// Python bindings of the rasterizer, checked here once.
+#include "bindings.h"
+
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/vector.h>
+
+#include <optional>
+#include <vector>
+
+#include "rasterizer.h"
+
+namespace {
+
+bgs::View view_of(const Matrix& T_cam_world, float fx, float fy, float cx, float cy, int width, int height) {
+    require(width > 0 && height > 0 && width <= 32000 && height <= 32000, "image size must be between 1 and 32000 px");
+    require(fx > 0 && fy > 0, "focal lengths must be positive");
+    bgs::View v{};
+    for (int r = 0; r < 3; ++r) {
+        for (int c = 0; c < 3; ++c) v.R[3 * r + c] = static_cast<float>(T_cam_world(r, c));
+        v.t[r] = static_cast<float>(T_cam_world(r, 3));
+    }
+    v.fx = fx, v.fy = fy, v.cx = cx, v.cy = cy, v.width = width, v.height = height;
+    // As in gsplat, where pixel centres are at .5.
+    constexpr auto margin = static_cast<float>(bgs::JACOBIAN_MARGIN);
+    const float margin_x = margin * static_cast<float>(width) / fx, margin_y = margin * static_cast<float>(height) / fy;
+    v.x_over_z_min = -((cx + 0.5f) / fx + margin_x), v.x_over_z_max = (static_cast<float>(width) - cx - 0.5f) / fx + margin_x;
+    v.y_over_z_min = -((cy + 0.5f) / fy + margin_y), v.y_over_z_max = (static_cast<float>(height) - cy - 0.5f) / fy + margin_y;
+    return v;
+}
+
+void forward(bgs::Workspace& ws, const Array2& planes, const Matrix& T_cam_world, float fx, float fy, float cx, float cy, Array3& color,
+             Array2& depth, Array2& alpha) {
+    require(planes.shape(0) == bgs::planes_of(0), "planes must have shape (14, N)");
+    const int height = static_cast<int>(depth.shape(0)), width = static_cast<int>(depth.shape(1));
+    check_image(color, 3, height, width, "color must have shape (3, H, W) for a depth of shape (H, W)");
+    check_map(alpha, height, width, "alpha must have the shape of depth");
+    const bgs::View view = view_of(T_cam_world, fx, fy, cx, cy, width, height);
+    const int count = static_cast<int>(planes.shape(1));
+    nb::gil_scoped_release release;
+    ws.forward(planes.data(), planes.shape(1), count, 0, view, color.data(), depth.data(), alpha.data());
+}
+
+std::vector<double> backward(bgs::Workspace& ws, const Array2& planes, const std::optional<Array3>& grad_color,
+                             const std::optional<Array2>& grad_depth, const std::optional<Array2>& grad_alpha, Array2& grads, Flags& touched,
+                             bool pose) {
+    require(static_cast<int>(planes.shape(0)) == bgs::planes_of(ws.degree()) && static_cast<int>(planes.shape(1)) == ws.count(), "planes are not those of the forward pass");
+    require(grads.shape(0) == planes.shape(0) && grads.shape(1) == planes.shape(1), "grads must have the shape of planes");
+    require(touched.shape(0) == planes.shape(1), "touched must have shape (N,)");
+    if (grad_color) check_image(*grad_color, 3, ws.height(), ws.width(), "grad_color must have shape (3, H, W)");
+    if (grad_depth) check_map(*grad_depth, ws.height(), ws.width(), "grad_depth must have shape (H, W)");
+    if (grad_alpha) check_map(*grad_alpha, ws.height(), ws.width(), "grad_alpha must have shape (H, W)");
+    std::vector<double> twist(pose ? 6 : 0);
+    nb::gil_scoped_release release;
+    ws.backward(planes.data(), planes.shape(1), grad_color ? grad_color->data() : nullptr, grad_depth ? grad_depth->data() : nullptr,
+                grad_alpha ? grad_alpha->data() : nullptr, grads.data(), grads.shape(1), touched.data(),
+                pose ? twist.data() : nullptr);
+    return twist;
+}
+
+}  // namespace
+
+void bind_rasterizer(nb::module_& m) {
+    nb::class_<bgs::Workspace>(m, "Workspace")
+        .def(nb::init<>())
+        .def("forward", &forward, "planes"_a.noconvert(), "T_cam_world"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "color"_a.noconvert(),
+             "depth"_a.noconvert(), "alpha"_a.noconvert())
+        .def("backward", &backward, "planes"_a.noconvert(), "grad_color"_a.noconvert().none(), "grad_depth"_a.noconvert().none(),
+             "grad_alpha"_a.noconvert().none(), "grads"_a.noconvert(), "touched"_a.noconvert(), "pose"_a)
+        .def_prop_ro("count", &bgs::Workspace::count)
+        .def_prop_ro("visible", &bgs::Workspace::visible)
+        .def_prop_ro("bytes", &bgs::Workspace::bytes);
+}
