@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -18,11 +17,13 @@ from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.evaluation.stereo_backbone import require_truth
 from bench.evaluation.stereo_process import Broken, score_in_process
-from bench.io.atomic import write_text
 from bench.plugin_config import plugin_config_from
 from bench.runs.config_file import read_config
 from bench.tables.collect import find_runs
-from bench.tables.render import print_table, writer_for
+from bench.tables.document.csv_text import data_as_csv
+from bench.tables.document.forms import form_of, save, text_of
+from bench.tables.document.model import Data
+from bench.tables.render import print_table, runs_document
 from bench.tables.stereo import IMAGE_COLUMNS, STEREO_COLUMNS, Scored, image_table, stereo_rows
 
 _EXAMPLES = """examples:
@@ -53,9 +54,9 @@ def add_parser(subparsers: Any) -> None:
         help="run folders, or folders of them, whose PSNR, LPIPS, Depth-L1 and time stand beside their backbone",
     )
     parser.add_argument(
-        "--out", nargs="+", action="extend", default=[], type=Path, metavar="FILE", help="FILE.md, FILE.csv or FILE.tex"
+        "--out", nargs="+", action="extend", default=[], type=Path, metavar="FILE", help="FILE.md, .csv, .tex or .html"
     )
-    parser.add_argument("--per-image", type=Path, metavar="FILE.csv", help="also write one row an image and backbone")
+    parser.add_argument("--per-image", type=Path, metavar="FILE.csv", help="also write one row per image and backbone")
     parser.add_argument(
         "--warm-up", type=int, default=1, metavar="N", help="untimed passes over the first frame (default 1)"
     )
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     Exit code 1 when a backbone broke: its row says why, and the others have theirs. ``BenchError`` for wrong input
     before anything is scored.
     """
-    writers = {path: writer_for(path) for path in args.out}
+    forms = {path: form_of(path) for path in args.out}
     if args.warm_up < 0:
         raise BenchError(f"--warm-up {args.warm_up} is negative; choose 0 or more.")
     if args.per_image is not None and args.per_image.suffix != ".csv":
@@ -83,11 +84,12 @@ def run(args: argparse.Namespace) -> int:
     scored = _score_all(configs, datasets, args.warm_up, console)
     rows = stereo_rows(scored, runs)
     print_table(rows, console, STEREO_COLUMNS)
-    texts = {path: write(rows, STEREO_COLUMNS) for path, write in writers.items()}
+    document = runs_document(rows, STEREO_COLUMNS, "Stereo backbones")
+    texts = {path: text_of(document, form, path.parent) for path, form in forms.items()}
     if args.per_image is not None:
-        texts[args.per_image] = pd.DataFrame(image_table(scored), columns=IMAGE_COLUMNS).to_csv(index=False)
+        texts[args.per_image] = data_as_csv(Data(IMAGE_COLUMNS, image_table(scored)), Path())
     for path, text in texts.items():
-        _write(path, text)
+        save(path, text)
         console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
     return 1 if any(isinstance(one.outcome, Broken) for one in scored) else 0
 
@@ -156,11 +158,3 @@ def _labels(configs: Sequence[RunConfig]) -> list[str]:
             label += f" ({', '.join(changed)})" if changed else ""
         labels.append(label)
     return labels
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BenchError(f"Can't make the folder of {path}: {error.strerror}. Give another place.") from error
-    write_text(path, text)

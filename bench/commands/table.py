@@ -9,14 +9,14 @@ from typing import Any
 from rich.console import Console
 
 from bench.errors import BenchError, did_you_mean
-from bench.io.atomic import write_text
 from bench.tables.collect import DEFAULT_FOLDER, collect_row, find_runs
+from bench.tables.document.forms import FORMS, form_of, save, text_of
 from bench.tables.named.find import table_names
 from bench.tables.named.records import VIEW_GROUPS, read_runs
-from bench.tables.named.table import FORMATS, make_table
+from bench.tables.named.table import make_table
 from bench.tables.records.file import SUFFIX, is_record_file, read_record_file, record_text
 from bench.tables.records.rows import row_of_record
-from bench.tables.render import print_table, writer_for
+from bench.tables.render import print_table, runs_document
 
 _ABOUT = f"""The named tables are NAMES; without a name: one row per run.
 A table of yours is FOLDER/table/NAME.yaml, with its published numbers beside it as CSV; give --plugins FOLDER.
@@ -54,10 +54,10 @@ def add_parser(subparsers: Any) -> None:
         default=[],
         type=Path,
         metavar="PLACE",
-        help=f"FILE.md, .csv, .tex or {SUFFIX}; for a named table also FILE.html, or a folder for all of them",
+        help=f"FILE.md, .csv, .tex, .html or {SUFFIX}; for a named table also a folder, for all of them",
     )
     parser.add_argument(
-        "--format", choices=FORMATS, help="named table: print this instead, or write only this to --out FOLDER"
+        "--format", choices=FORMS, help="print this instead; with a named table and --out FOLDER, write only this"
     )
     parser.add_argument(
         "--views", choices=VIEW_GROUPS, help="named table: whose image metrics (default: a record's own, else left)"
@@ -78,18 +78,21 @@ def run(args: argparse.Namespace) -> int:
         raise BenchError(
             f"There is no folder and no table {name}; the tables are {', '.join(names)}.{did_you_mean(name, names)}"
         )
-    if args.format:
-        raise BenchError("--format goes with a table's name; write the table of runs with --out FILE.md or FILE.csv.")
-    texts = {path: None if is_record_file(path) else writer_for(path) for path in args.out}
+    forms = {path: "" if is_record_file(path) else form_of(path, f" or {SUFFIX}") for path in args.out}
     files = [path for path in args.runs if is_record_file(path)]
-    named = [path for path in args.runs if path not in files]
-    folders = find_runs(named) if named or not files else []
+    given = [path for path in args.runs if path not in files]
+    folders = find_runs(given) if given or not files else []
     rows = [row_of_record(run) for file in files for run in read_record_file(file).runs]
     rows += [collect_row(folder) for folder in folders]
+    document = runs_document(rows)
+    if args.format and not args.out:
+        print(text_of(document, args.format, Path()), end="")
+        return 0
     console = Console()
     print_table(rows, console)
-    for path, write in texts.items():
-        _write(path, record_text(read_runs(args.runs)) if write is None else write(rows), console)
+    for path, form in forms.items():
+        text = text_of(document, form, path.parent) if form else record_text(read_runs(args.runs))
+        _write(path, text, console)
     return 0
 
 
@@ -106,7 +109,7 @@ def _named(name: str, runs: list[Path], args: argparse.Namespace) -> int:
         _write(file, text, console)
     for folder in args.out:
         if folder not in files:
-            for file in table.write(folder, [args.format] if args.format else FORMATS):
+            for file in table.write(folder, [args.format] if args.format else FORMS):
                 _say_wrote(file, console)
     return 0
 
@@ -115,18 +118,11 @@ def _is_file(place: Path) -> bool:
     """Whether an ``--out`` names a file of a form that there is; otherwise it is a folder."""
     if not place.suffix or place.is_dir():
         return False
-    if place.suffix[1:] not in FORMATS and not is_record_file(place):
-        forms = ", .".join(FORMATS)
-        raise BenchError(f"--out {place}: the extension must be one of .{forms}, {SUFFIX}, or name a folder.")
-    return True
+    return is_record_file(place) or bool(form_of(place, f", {SUFFIX}, or name a folder"))
 
 
 def _write(path: Path, text: str, console: Console) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BenchError(f"Can't make the folder of --out {path}: {error.strerror}. Give another place.") from error
-    write_text(path, text)
+    save(path, text)
     _say_wrote(path, console)
 
 

@@ -1,23 +1,18 @@
-"""A table of runs for the terminal, and as Markdown, CSV and LaTeX (booktabs)."""
+"""The table of runs as a document, and the notes on how its numbers were made."""
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from rich.console import Console, JustifyMethod
-from rich.table import Table
+from rich.console import Console
 
-from bench.errors import BenchError
 from bench.tables.collect import COLUMNS, Column, Row
-from bench.tables.latex import latex_text
+from bench.tables.document import model
+from bench.tables.document.model import UNKNOWN, Cell, Data, Document
+from bench.tables.document.terminal import print_document
 from bench.tables.static_camera import NAME, static_camera_rows
 
-UNKNOWN = "-"
-_REFERENCE_STYLE = "dim italic"
 # Parts of the stamp that a reader needs to know what a number is; the rest is in each run's metrics.json.
 _STAMP = (
     "name",
@@ -39,6 +34,46 @@ _STAMP = (
 )
 
 
+def runs_document(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS, name: str = "Runs") -> Document:
+    """One row per run, then the static camera's for each data set; without the optional columns that no row has.
+
+    The data has all columns, and the name of each row's protocol.
+    """
+    references = static_camera_rows(rows)
+    first, *others = columns_with_values(rows, columns)
+    blocks = [tuple(_row(row, first, others) for row in block) for block in (rows, references) if block]
+    data = [row.values | {"protocol": row.protocol.get("name", "")} for row in (*rows, *references)]
+    return Document(
+        name=name,
+        title="",
+        left=(_heading(first),),
+        columns=tuple(_heading(column) for column in others),
+        blocks=tuple(blocks),
+        notes=tuple(footnotes(rows)),
+        data=Data((*(column.key for column in columns), "protocol"), data),
+    )
+
+
+def print_table(rows: Sequence[Row], console: Console, columns: Sequence[Column] = COLUMNS) -> None:
+    """Print the table of runs with its notes; a single run is printed as a list, which fits any terminal."""
+    document = runs_document(rows, columns)
+    print_document(_as_list(rows[0], columns, document) if len(rows) == 1 else document, console)
+
+
+def _as_list(row: Row, columns: Sequence[Column], document: Document) -> Document:
+    """One line per column, and one for what a static camera has for an ATE."""
+    lines = []
+    for column in columns_with_values([row], columns):
+        heading = _heading(column)
+        name = f"{heading.title} {heading.below}".strip()
+        lines.append(model.Row((name,), (Cell(shown(column, row)),)))
+        if column.key == "ate_rmse_m":
+            references = (Cell(shown(column, reference)) for reference in static_camera_rows([row]))
+            lines += [model.Row((f"{name} of a {NAME}",), (cell,), "quiet") for cell in references]
+    nameless = (model.Column(""),)
+    return Document(document.name, "", nameless, nameless, (tuple(lines),), document.notes, document.data)
+
+
 def shown(column: Column, row: Row) -> str:
     """A cell as people read it; "-" where the value is not known."""
     value = row.values.get(column.key)
@@ -58,112 +93,14 @@ def columns_with_values(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS
     ]
 
 
-def print_table(rows: Sequence[Row], console: Console, columns: Sequence[Column] = COLUMNS) -> None:
-    """Print the table, with a static camera's row for each data set, and its footnotes.
-
-    A single run is printed as a list, which fits any terminal. Several are one line each: a line that is longer than
-    the terminal is folded by the terminal and not cell by cell, so that it can be piped and searched.
-    """
-    shown_columns = columns_with_values(rows, columns)
-    references = static_camera_rows(rows)
-    table = Table(show_header=len(rows) > 1)
-    if len(rows) == 1:
-        for column in shown_columns:
-            table.add_row(_heading(column, " "), shown(column, rows[0]))
-            if column.key == "ate_rmse_m":
-                for reference in references:
-                    heading = f"{_heading(column, ' ')} of a {NAME}"
-                    table.add_row(heading, shown(column, reference), style=_REFERENCE_STYLE)
-    else:
-        for column in shown_columns:
-            justify: JustifyMethod = "right" if _is_number(column) else "left"
-            table.add_column(_heading(column, "\n"), justify=justify, no_wrap=True)
-        for row in rows:
-            table.add_row(*(shown(column, row) for column in shown_columns))
-        table.add_section()
-        for row in references:
-            table.add_row(*(shown(column, row) for column in shown_columns), style=_REFERENCE_STYLE)
-    # A table takes no more width than it needs, and its console's width at most.
-    Console(file=console.file, width=10_000).print(table, markup=False)
-    for note in footnotes(rows):
-        console.print(note, markup=False, highlight=False, soft_wrap=True)
+def _row(row: Row, first: Column, others: Sequence[Column]) -> model.Row:
+    cells = tuple(Cell(shown(column, row)) for column in others)
+    return model.Row((shown(first, row),), cells, "quiet" if row.is_reference else "ours")
 
 
-def as_markdown(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> str:
-    """A Markdown table with all columns, and below it how the numbers were made and why some are missing.
-
-    The static camera's rows come last, in italics.
-    """
-    columns = columns_with_values(rows, columns)
-    lines = [
-        "| " + " | ".join(_heading(column, " ") for column in columns) + " |",
-        "|" + "|".join("---:" if _is_number(column) else "---" for column in columns) + "|",
-    ]
-    for row in [*rows, *static_camera_rows(rows)]:
-        cells = [shown(column, row).replace("|", "\\|") for column in columns]
-        if row.is_reference:
-            cells = [cell if cell == UNKNOWN else f"*{cell}*" for cell in cells]
-        lines.append("| " + " | ".join(cells) + " |")
-    notes = [f"- {note}" for note in footnotes(rows)]
-    return "\n".join([*lines, *([""] if notes else []), *notes]) + "\n"
-
-
-def as_csv(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> str:
-    """All columns with full digits, headed by their keys (the unit is in the key); empty where not known.
-
-    The static camera's rows come last; they have that name in the column ``run``.
-    """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([column.key for column in columns] + ["protocol"])
-    for row in [*rows, *static_camera_rows(rows)]:
-        values = [row.values.get(column.key) for column in columns]
-        writer.writerow(["" if value is None else value for value in values] + [row.protocol.get("name", "")])
-    return text.getvalue()
-
-
-def as_latex(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> str:
-    """A ``tabular`` with booktabs rules; needs ``\\usepackage{booktabs}``. Footnotes become comments.
-
-    The static camera's rows come last, in italics below a rule.
-    """
-    columns = columns_with_values(rows, columns)
-    references = static_camera_rows(rows)
-    alignment = "".join("r" if _is_number(column) else "l" for column in columns)
-    lines = [f"% {note}" for note in footnotes(rows)]
-    lines += [rf"\begin{{tabular}}{{{alignment}}}", r"\toprule"]
-    lines.append(" & ".join(latex_text(_heading(column, " ")) for column in columns) + r" \\")
-    lines.append(r"\midrule")
-    lines += [_latex_row(row, columns) for row in rows]
-    lines += [r"\midrule"] if references else []
-    lines += [_latex_row(row, columns) for row in references]
-    lines += [r"\bottomrule", r"\end{tabular}"]
-    return "\n".join(lines) + "\n"
-
-
-def _latex_row(row: Row, columns: Sequence[Column]) -> str:
-    cells = ["--" if cell == UNKNOWN else latex_text(cell) for cell in (shown(column, row) for column in columns)]
-    if row.is_reference:
-        cells = [cell if cell == "--" else rf"\textit{{{cell}}}" for cell in cells]
-    return " & ".join(cells) + r" \\"
-
-
-class Writer(Protocol):
-    """Makes the text of a table file of these rows and columns."""
-
-    def __call__(self, rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> str: ...
-
-
-WRITERS: dict[str, Writer] = {".md": as_markdown, ".csv": as_csv, ".tex": as_latex}
-
-
-def writer_for(path: Path) -> Writer:
-    """The writer that goes with a file's extension; raises ``BenchError`` for another extension."""
-    if path.suffix not in WRITERS:
-        raise BenchError(
-            f"--out {path}: the extension says the form, and must be one of {', '.join(WRITERS)}. Run folders go first."
-        )
-    return WRITERS[path.suffix]
+def _heading(column: Column) -> model.Column:
+    is_number = column.decimals is not None or column.key == "gaussians"
+    return model.Column(column.title, f"[{column.unit}]" if column.unit else "", "right" if is_number else "left")
 
 
 def footnotes(rows: Sequence[Row]) -> list[str]:
@@ -189,11 +126,3 @@ def _listed(runs: list[str]) -> str:
 
 def _stamp_value(value: Any) -> str:
     return "none" if value is None else str(value)
-
-
-def _is_number(column: Column) -> bool:
-    return column.decimals is not None or column.key == "gaussians"
-
-
-def _heading(column: Column, gap: str) -> str:
-    return f"{column.title}{gap}[{column.unit}]" if column.unit else column.title

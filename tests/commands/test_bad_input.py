@@ -128,7 +128,7 @@ def test_from_a_fresh_process(tmp_path: Path) -> None:
         (["run", "-m", *TINY, "seed=0,1", "output=file/sweep"], r"Can't make the folder .*sweep"),
         (["list", "sterio"], r"kind='sterio' is not one of .*Did you mean 'stereo'"),
         (["evaluate", "nowhere"], r"There is no run folder nowhere"),
-        (["table", "nowhere"], r"There is no folder nowhere"),
+        (["table", "nowhere"], r"There is no folder and no table nowhere; the tables are ablation"),
     ],
 )
 def test_other_commands_and_sweeps(

@@ -115,7 +115,7 @@ def test_wrong_input_is_known_before_anything_is_scored(
         ("stereo=sgbm", "stereo.num_disparites=96"): "Did you mean 'num_disparities'?",
         ("stereo=sgbm,lidar", "stereo.lidar.blocks=3"): "stereo.blocks=3: stereo has no setting 'blocks'",
         ("stereo=sgbm", "dataset=kitti2015"): "dataset.root is not set",
-        ("stereo=sgbm", "--out", "table.html"): "--out table.html: the extension says the form",
+        ("stereo=sgbm", "--out", "table.pdf"): "--out table.pdf: the extension says the form",
         ("stereo=sgbm", "--per-image", "images.txt"): "--per-image images.txt: it is written as CSV",
         ("stereo=sgbm", "--warm-up", "-1"): "--warm-up -1 is negative",
         ("stereo=sgbm", "--runs", "nowhere"): "There is no folder nowhere",

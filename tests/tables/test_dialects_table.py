@@ -13,7 +13,8 @@ from fake_runs import config, make_run, metrics
 
 from bench.cli import main
 from bench.errors import BenchError
-from bench.tables.named.table import FORMATS, make_table
+from bench.tables.document.forms import FORMS
+from bench.tables.named.table import make_table
 
 
 @pytest.fixture(autouse=True)
@@ -95,7 +96,7 @@ def test_notes_say_the_rules_the_views_and_what_is_missing(runs: Path) -> None:
 def test_every_format_and_full_digits_in_csv(runs: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["table", "dialects", str(runs), "--out", str(tmp_path / "out")]) == 0
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == sorted(
-        f"dialects.{form}" for form in (*FORMATS, "runs.json")
+        f"dialects.{form}" for form in (*FORMS, "runs.json")
     )
     text = (tmp_path / "out" / "dialects.csv").read_text()
     rows = {(row["by"], row["metric"]): row for row in csv.DictReader(io.StringIO(text))}

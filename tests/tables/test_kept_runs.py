@@ -14,8 +14,9 @@ from fake_runs import config, make_run, metrics
 from bench.cli import main
 from bench.errors import BenchError
 from bench.io.atomic import write_json
+from bench.tables.document.forms import FORMS
 from bench.tables.named.find import table_names
-from bench.tables.named.table import FORMATS, make_table
+from bench.tables.named.table import make_table
 from bench.tables.records.file import SUFFIX, read_record_file
 from bench.tables.records.portable import portable_config, portable_text
 from bench.tables.records.shared import in_common, together, without
@@ -63,7 +64,7 @@ def test_a_table_comes_back_to_the_byte_without_the_folders(name: str, runs: Pat
     first, second = tmp_path / "tables", tmp_path / "again"
     written = make_table(name, [runs]).write(first)
     before = {file.name: file.read_bytes() for file in written}
-    assert sorted(before) == sorted(f"{name}.{form}" for form in (*FORMATS, "runs.json"))
+    assert sorted(before) == sorted(f"{name}.{form}" for form in (*FORMS, "runs.json"))
     shutil.rmtree(runs)
     shutil.copytree(first, second)
     again = make_table(name, [second / f"{name}{SUFFIX}"]).write(second)

@@ -11,7 +11,7 @@ import pytest
 from fake_runs import ALL_TERMS, FRAMES, config, make_mixed_runs, make_run, metrics
 
 from bench.cli import main
-from bench.tables.latex import latex_text
+from bench.tables.document.latex_text import latex_text
 from bench.tables.named.find import table_names
 from bench.tables.named.table import make_table
 

@@ -12,7 +12,8 @@ from bench.evaluation.disparity import score_disparity
 from bench.evaluation.stereo_backbone import TRUE_DISPARITY, BackboneScore, ImageScore
 from bench.evaluation.stereo_process import Broken
 from bench.runs.folder import RunFolder
-from bench.tables.render import as_csv, as_latex, as_markdown
+from bench.tables.document.forms import text_of
+from bench.tables.render import runs_document
 from bench.tables.stereo import IMAGE_COLUMNS, STEREO_COLUMNS, Scored, image_table, stereo_rows
 
 
@@ -85,19 +86,22 @@ def test_settings_tell_apart_rows_of_one_plugin(tmp_path: Path) -> None:
 
 def test_every_form(tmp_path: Path) -> None:
     rows = stereo_rows([scored("net"), scored("bad_net", Broken("it | broke"))])
-    text = as_markdown(rows, STEREO_COLUMNS)
+    document = runs_document(rows, STEREO_COLUMNS)
+    text = text_of(document, "md", tmp_path)
     assert "| Stereo | Dataset | Status | EPE [px] |" in text
     assert "SLAM" not in text
-    assert "- bad_net: it | broke" in text
+    assert "- bad\\_net: it \\| broke" in text
     assert f"truth {TRUE_DISPARITY}, images 3, averaging pooled" in text
-    header, net, bad = as_csv(rows, STEREO_COLUMNS).splitlines()
+    header, net, bad = text_of(document, "csv", tmp_path).splitlines()
     assert header.startswith("stereo,dataset,status,epe_px,")
     assert net.startswith("net,toy,done,0.875,")
     assert bad.startswith("bad_net,toy,failed,,")
-    latex = as_latex(rows, STEREO_COLUMNS)
-    assert r"bad\_net & toy & failed & --" in latex
+    latex = text_of(document, "tex", tmp_path)
+    assert r"bad\_net & toy & failed & -" in latex
     run = make_run(tmp_path / "a", {"name": "net"}, 20.0)
-    assert "SLAM PSNR [dB]" in as_markdown(stereo_rows([scored("net")], [run]), STEREO_COLUMNS)
+    with_run = runs_document(stereo_rows([scored("net")], [run]), STEREO_COLUMNS)
+    assert "SLAM PSNR [dB]" in text_of(with_run, "md", tmp_path)
+    assert '<th scope="col" class="n">SLAM PSNR<small>[dB]</small></th>' in text_of(with_run, "html", tmp_path)
 
 
 def test_one_row_an_image() -> None:

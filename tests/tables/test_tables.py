@@ -15,8 +15,9 @@ from bench.commands import list as list_command
 from bench.commands import table as table_command
 from bench.errors import BenchError
 from bench.runs.folder import RunFolder
-from bench.tables.collect import collect_row, find_runs
-from bench.tables.render import as_csv, as_latex, as_markdown, print_table
+from bench.tables.collect import Row, collect_row, find_runs
+from bench.tables.document.forms import text_of
+from bench.tables.render import print_table, runs_document
 from bench.tables.static_camera import static_camera_rows
 
 CONFIG: dict[str, Any] = {
@@ -64,13 +65,18 @@ def runs(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def written(form: str, rows: list[Row]) -> str:
+    return text_of(runs_document(rows), form, Path())
+
+
 def cells(markdown: str, run: str) -> dict[str, str]:
+    markdown = markdown.replace("\\_", "_")
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in markdown.splitlines() if line[:1] == "|"]
     return next(dict(zip(lines[0], line, strict=True)) for line in lines[2:] if line[0] == run)
 
 
 def test_a_finished_run_has_its_numbers_rounded(runs: Path) -> None:
-    row = cells(as_markdown([collect_row(runs / "a_done")]), "a_done")
+    row = cells(written("md", [collect_row(runs / "a_done")]), "a_done")
     assert row["Dataset"] == "kitti/06"
     assert (row["System"], row["Stereo"], row["Tracker"], row["Status"]) == ("bgs_slam", "sgbm", "stereo_orb", "done")
     assert (row["ATE [m]"], row["PSNR [dB]"], row["SSIM"], row["LPIPS"]) == ("0.123", "23.46", "0.812", "-")
@@ -81,7 +87,7 @@ def test_a_finished_run_has_its_numbers_rounded(runs: Path) -> None:
 
 def test_failed_and_damaged_runs_have_a_row_that_says_so(runs: Path) -> None:
     rows = [collect_row(folder) for folder in find_runs([runs])]
-    text = as_markdown(rows)
+    text = written("md", rows)
     assert [row.values["run"] for row in rows] == ["a_done", "b_oom", "c_damaged", "d_begun"]
     assert cells(text, "b_oom")["Status"] == "out of memory"
     assert cells(text, "b_oom")["Frames"] == "3/10"
@@ -89,7 +95,7 @@ def test_failed_and_damaged_runs_have_a_row_that_says_so(runs: Path) -> None:
     assert cells(text, "c_damaged")["PSNR [dB]"] == "-"
     assert cells(text, "d_begun")["Status"] == "no status"
     assert "metrics.json is damaged (line 1" in text
-    assert "- b_oom: stopped: asked for 40 GB" in text
+    assert "- b\\_oom: stopped: asked for 40 GB" in text
 
 
 def with_frames(static_m: float, lost: int = 0, total: int = 10, **trajectory: float) -> dict[str, Any]:
@@ -102,7 +108,7 @@ def with_frames(static_m: float, lost: int = 0, total: int = 10, **trajectory: f
 
 def test_lost_frames_are_in_the_status_and_below_the_table(tmp_path: Path) -> None:
     metrics = with_frames(92.16, lost=3, static_camera_compared_ate_rmse_m=15.25)
-    text = as_markdown([collect_row(make_run(tmp_path / "a", "done", metrics))])
+    text = written("md", [collect_row(make_run(tmp_path / "a", "done", metrics))])
     assert cells(text, "a")["Status"] == "done, 3 frames lost"
     assert cells(text, "a")["Frames"] == "7/10"
     assert "- a: 3 frames lost (4 to 6); on the others a static camera's ATE is 15.250 m" in text
@@ -128,17 +134,17 @@ def test_one_static_camera_a_data_set_however_many_runs(tmp_path: Path) -> None:
         ("kitti/06", "10/10", 92.16),
         ("kitti/06", "5/5", 31.5),
     ]
-    text = as_markdown(rows)
-    assert cells(text, "*static camera*")["ATE [m]"] == "*92.160*"
-    assert cells(text, "*static camera*")["PSNR [dB]"] == "-"
+    text = written("md", rows)
+    assert cells(text, "static camera")["ATE [m]"] == "*92.160*"
+    assert cells(text, "static camera")["PSNR [dB]"] == "-"
     assert [line.split("|")[1].strip() for line in text.splitlines()[2:8]] == [
-        *("a", "b", "c", "d", "*static camera*", "*static camera*")
+        *("a", "b", "c", "d", "static camera", "static camera")
     ]
-    latex = as_latex(rows)
+    latex = written("tex", rows)
     body = latex.partition(r"\midrule")[2]
-    assert body.count(r"\textit{static camera} & \textit{kitti/06}") == 2
-    assert r"\midrule" in body.partition(r"\textit")[0], "a rule above the reference rows"
-    table = list(csv.DictReader(as_csv(rows).splitlines()))
+    assert body.count(r"static camera & \textit{kitti/06}") == 2
+    assert r"\midrule" in body.partition("static camera")[0], "a rule above the reference rows"
+    table = list(csv.DictReader(written("csv", rows).splitlines()))
     assert [(row["run"], row["ate_rmse_m"]) for row in table[4:]] == [
         ("static camera", "92.16"),
         ("static camera", "31.5"),
@@ -157,10 +163,10 @@ def test_the_terminal_shows_the_static_camera_too(tmp_path: Path) -> None:
 
 def test_columns_that_no_run_fills_are_left_out(tmp_path: Path) -> None:
     plain = collect_row(make_run(tmp_path / "plain", "done", METRICS))
-    assert "RPE" not in as_markdown([plain])
-    assert "rpe_trans_rmse_m" in as_csv([plain])
+    assert "RPE" not in written("md", [plain])
+    assert "rpe_trans_rmse_m" in written("csv", [plain])
     drift = with_frames(92.16, rpe_trans_rmse_m=0.01234, t_rel_short_percent=1.2345)
-    text = as_markdown([plain, collect_row(make_run(tmp_path / "drift", "done", drift))])
+    text = written("md", [plain, collect_row(make_run(tmp_path / "drift", "done", drift))])
     assert (cells(text, "drift")["RPE [m]"], cells(text, "drift")["t_rel 10-50 m [%]"]) == ("0.0123", "1.23")
     assert cells(text, "plain")["RPE [m]"] == "-"
     assert "t_rel [%]" not in text, "short segments are no standard ones"
@@ -170,28 +176,28 @@ def test_odd_values_do_not_stop_the_table(tmp_path: Path) -> None:
     odd = {"views": [], "trajectory": {"ate_rmse_m": "far"}, "resources": {"mapping_s_per_frame": "slow"}, "notes": 3}
     row = collect_row(make_run(tmp_path / "odd", "done", odd))
     assert row.values["s_per_frame"] is None
-    assert "odd" in as_markdown([row])
+    assert "odd" in written("md", [row])
 
 
 def test_the_protocol_and_the_notes_stand_below_the_table(runs: Path) -> None:
-    text = as_markdown([collect_row(runs / "a_done")])
-    assert "- Protocol: name heldout, alignment se3, depth_max_m none." in text
-    assert "- a_done: lpips: no AlexNet weights" in text
+    text = written("md", [collect_row(runs / "a_done")])
+    assert "- Protocol: name heldout, alignment se3, depth\\_max\\_m none." in text
+    assert "- a\\_done: lpips: no AlexNet weights" in text
 
 
 def test_latex_has_booktabs_rules_and_escapes_names(runs: Path) -> None:
-    text = as_latex([collect_row(runs / "a_done")])
+    text = written("tex", [collect_row(runs / "a_done")])
     assert r"a\_done & kitti/06 & bgs\_slam" in text
     for rule in (r"\toprule", r"\midrule", r"\bottomrule", r"\end{tabular}"):
         assert rule in text
     body = [line for line in text.splitlines() if line.endswith(r"\\")]
     columns = text.partition(r"\begin{tabular}{")[2].partition("}")[0]
     assert {line.count(" & ") + 1 for line in body} == {len(columns)}
-    assert "--" in body[1].split(" & "), "a value that is not known is a dash"
+    assert "-" in body[2].split(" & "), "a value that is not known is a dash"
 
 
 def test_the_command_writes_every_form(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = [tmp_path / "tables" / f"all{suffix}" for suffix in (".md", ".csv", ".tex")]
+    out = [tmp_path / "tables" / f"all{suffix}" for suffix in (".md", ".csv", ".tex", ".html")]
     parser = argparse.ArgumentParser()
     table_command.add_parser(parser.add_subparsers())
     arguments = parser.parse_args(["table", str(runs), "--out", *map(str, out)])
@@ -205,8 +211,8 @@ def test_the_command_writes_every_form(runs: Path, tmp_path: Path, capsys: pytes
     printed = capsys.readouterr().out
     for name in ("a_done", "b_oom", "c_damaged", "d_begun"):
         assert sum(name in line and "kitti/06" in line for line in printed.splitlines()) == 1
-    with pytest.raises(BenchError, match=r"--out x\.html: the extension says the form"):
-        table_command.run(argparse.Namespace(runs=[runs], out=[Path("x.html")], format=None, plugins=[]))
+    with pytest.raises(BenchError, match=r"--out x\.pdf: .* one of \.md, \.csv, \.tex, \.html"):
+        table_command.run(argparse.Namespace(runs=[runs], out=[Path("x.pdf")], format=None, plugins=[]))
 
 
 def test_folders_without_runs_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from bench.runs.system_name import system_name
 from bench.tables.collect import Row
+from bench.tables.document.model import UNKNOWN, Cell, Column, Data
 from bench.tables.named.fill import Statistic, choose_runs, statistic
-from bench.tables.named.grid import MINUS, OURS, Grid, GridCell, Line, heading
-from bench.tables.named.links import relative
+from bench.tables.named.grid import MINUS, OURS, Grid, Line, heading
 from bench.tables.named.metrics import METRICS as KNOWN
 from bench.tables.named.metrics import Metric
 from bench.tables.named.settings import scored_config, settings_of
 from bench.tables.records.made import made_in_words
 from bench.tables.records.record import RunRecord, is_number
-from bench.tables.render import UNKNOWN, footnotes
+from bench.tables.render import footnotes
 
 METRICS = tuple(KNOWN[key] for key in ("psnr_db", "ssim", "lpips", "depth_l1_cm", "ate_rmse_m"))
 CSV_COLUMNS = ("of", "by", "n_views", "metric", "unit", "value", "std", "n", "seeds", "difference", "runs")
@@ -119,10 +116,11 @@ def _told_apart(settings: Mapping[str, str], alike: Sequence[Mapping[str, str]])
 
 
 def dialect_grid(name: str, groups: Sequence[ScoredGroup]) -> Grid:
-    """A block a group: ours, then one line a dialect with its difference to ours."""
+    """A block per group: ours, then one line per dialect with its difference to ours."""
     blocks = tuple(tuple(_line(group, by) for by in (OURS, *group.dialects)) for group in groups)
     title = "The same runs by the rules of other systems' evaluators"
-    return Grid(name, title, tuple(heading(metric) for metric in METRICS), blocks, has_metric_column=False)
+    columns = tuple(Column(heading(metric), align="right") for metric in METRICS)
+    return Grid(name, title, columns, blocks, has_metric_column=False)
 
 
 def dialect_notes(groups: Sequence[ScoredGroup], not_scored: int, views: str, problems: Sequence[str]) -> list[str]:
@@ -161,41 +159,37 @@ def _in_words(stamp: Any) -> str:
     return "; ".join(f"{key}: {value}" for key, value in rules if not key.endswith("sha256")) or "not known"
 
 
-def dialect_csv(groups: Sequence[ScoredGroup], folder: Path) -> str:
-    """One row a number with full digits, empty where not known; ``runs`` lie relative to ``folder``, as ``seeds``."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, CSV_COLUMNS, restval="", lineterminator="\n")
-    writer.writeheader()
+def dialect_data(groups: Sequence[ScoredGroup]) -> Data:
+    """One row per number; ``runs`` lead to the runs, in the order of ``seeds``."""
+    rows = []
     for group in groups:
         for by in (OURS, *group.dialects):
             for metric in METRICS:
-                found, difference = group.mean(by, metric), group.difference(by, metric)
+                found = group.mean(by, metric)
                 row: dict[str, Any] = {"of": group.name, "by": by, "metric": metric.key, "unit": metric.unit}
                 row |= {} if by == OURS else {"n_views": group.views(by)}
-                if found is not None:
-                    row |= {"value": repr(found.mean), "n": found.n}
-                    row |= {"std": "" if found.std is None else repr(found.std)}
-                row |= {} if difference is None else {"difference": repr(difference)}
+                row |= {} if found is None else {"value": found.mean, "n": found.n, "std": found.std}
+                row["difference"] = group.difference(by, metric)
                 row["seeds"] = " ".join(str(run.seed) for run in group.runs)
-                writer.writerow(row | {"runs": " ".join(relative(run.source, folder) for run in group.runs)})
-    return text.getvalue()
+                rows.append(row | {"runs": tuple(run.source for run in group.runs)})
+    return Data(CSV_COLUMNS, rows)
 
 
 def _line(group: ScoredGroup, by: str) -> Line:
     return Line(by, group.name, None, tuple(_cell(group, by, metric) for metric in METRICS))
 
 
-def _cell(group: ScoredGroup, by: str, metric: Metric) -> GridCell:
+def _cell(group: ScoredGroup, by: str, metric: Metric) -> Cell:
     found, difference = group.mean(by, metric), group.difference(by, metric)
     if found is None:
-        return GridCell(UNKNOWN)
+        return Cell(UNKNOWN)
     text = f"{found.mean:.{metric.decimals}f}"
     text += "" if found.std is None else f" ± {found.std:.{metric.decimals}f}"
     if difference is not None:
         # No minus before a difference that rounds to 0.
         rounded = round(difference, metric.decimals) or 0.0
         text += f" ({rounded:+.{metric.decimals}f})".replace("-", MINUS)
-    runs = tuple((run.seed, run.source) for run in group.runs) if by == OURS else ()
+    links = tuple((str(run.seed), run.source) for run in group.runs) if by == OURS else ()
     # The number of runs stands on our line, and where a dialect could score fewer.
     n = found.n if by == OURS or found.n < len(group.runs) else 0
-    return GridCell(text, n, value=found.mean, runs=runs)
+    return Cell(text, n, value=found.mean, links=links)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from bench.errors import require_choice
+from bench.tables.document.model import UNKNOWN, Cell, Column
 from bench.tables.named.definitions import MethodRow, NamedTable
 from bench.tables.named.fill import FilledTable, Statistic
 from bench.tables.named.metrics import Metric
 from bench.tables.named.published import AVERAGE, PublishedValue, read_published
-from bench.tables.render import UNKNOWN
 from bench.tables.static_camera import NAME as STATIC_CAMERA
 
 DAGGER, CROSS, MINUS = "\u2020", "\u00d7", "\u2212"
@@ -23,26 +22,13 @@ WITHHELD = "withheld"
 
 
 @dataclass(frozen=True)
-class GridCell:
-    """What a cell shows. ``value`` is the number behind it where there is one, a mean over ``n`` runs of ours;
-    ``runs`` are the seed of each, and what leads to it."""
-
-    text: str = ""
-    n: int = 0
-    mark: str = ""
-    best: bool = False
-    value: float | None = None
-    runs: tuple[tuple[int, Path], ...] = ()
-
-
-@dataclass(frozen=True)
 class Line:
     """One line: whose numbers (``by``), of which method, which metric (None: the columns are metrics), its cells."""
 
     by: str
     method: str
     metric: Metric | None
-    cells: tuple[GridCell, ...]
+    cells: tuple[Cell, ...]
 
 
 @dataclass(frozen=True)
@@ -51,7 +37,7 @@ class Grid:
 
     name: str
     title: str
-    columns: tuple[str, ...]
+    columns: tuple[Column, ...]
     blocks: tuple[tuple[Line, ...], ...]
     has_metric_column: bool
 
@@ -112,8 +98,8 @@ def build_grid(filled: FilledTable, published: PublishedNumbers) -> Grid:
     marked = _mark_best(blocks, PAPER, table.metrics)
     marked = _mark_best(marked, OURS, table.metrics)
     across_sequences = table.across == "sequences"
-    columns = [_sequence_heading(filled, sequence) for sequence in table.sequences] + ["Average"]
-    columns = columns if across_sequences else [heading(metric) for metric in table.metrics]
+    columns = [_sequence_column(filled, sequence) for sequence in table.sequences] + [Column("Average", align="right")]
+    columns = columns if across_sequences else [Column(heading(metric), align="right") for metric in table.metrics]
     shown = tuple(_dagger_at_name(block) for block in [*marked, *static, *references] if block)
     return Grid(table.name, table.title, tuple(columns), shown, across_sequences)
 
@@ -141,7 +127,7 @@ class _Builder:
         lines = self._lines(by, method, lambda slot: _published_cell(self._published_at(method, slot)))
         return [line for line in lines if any(cell.text for cell in line.cells)]
 
-    def _lines(self, by: str, method: str, cell: Callable[[_Slot], GridCell]) -> list[Line]:
+    def _lines(self, by: str, method: str, cell: Callable[[_Slot], Cell]) -> list[Line]:
         table = self._filled.table
         if table.across == "metrics":
             cells = tuple(cell(_Slot(next(iter(table.sequences)), metric)) for metric in table.metrics)
@@ -155,25 +141,25 @@ class _Builder:
     def _published_at(self, method: str, slot: _Slot) -> PublishedValue | None:
         return self._published.get(method, slot.metric.key, slot.sequence)
 
-    def _our_cell(self, row: MethodRow, slot: _Slot) -> GridCell:
+    def _our_cell(self, row: MethodRow, slot: _Slot) -> Cell:
         table = self._filled.table
         if slot.sequence == AVERAGE:
             parts = [self._filled.cells.get((row.label, sequence)) for sequence in table.sequences]
             mark = DAGGER if any(cell is not None and cell.is_part for cell in parts) else ""
             average = self._filled.average(row.label, slot.metric)
-            return GridCell() if average is None else _statistic_cell(average, slot.metric, mark)
+            return Cell() if average is None else _statistic_cell(average, slot.metric, mark)
         cell = self._filled.cells.get((row.label, slot.sequence))
         if cell is None:
-            return GridCell(WITHHELD if self._filled.facts[slot.sequence].withheld else "")
-        runs = tuple((run.seed, run.source) for run in cell.shown or cell.without_numbers)
+            return Cell(WITHHELD if self._filled.facts[slot.sequence].withheld else "")
+        links = tuple((str(run.seed), run.source) for run in cell.shown or cell.without_numbers)
         if not cell.shown:
-            return GridCell(CROSS if cell.state == "out of memory" else cell.state, runs=runs)
+            return Cell(CROSS if cell.state == "out of memory" else cell.state, links=links)
         if not slot.metric.of_part and any(run.state == "out of memory" for run in cell.shown):
-            return GridCell(CROSS, runs=runs)
+            return Cell(CROSS, links=links)
         found = _statistic_cell(cell.statistic(slot.metric), slot.metric, DAGGER if cell.is_part else "")
-        return replace(found, runs=runs)
+        return replace(found, links=links)
 
-    def _paper_cell(self, row: MethodRow, method: str, slot: _Slot) -> GridCell:
+    def _paper_cell(self, row: MethodRow, method: str, slot: _Slot) -> Cell:
         """The paper's number, and in brackets how far ours is from it; a dagger is on the method's name."""
         published = self._published_at(method, slot)
         shown = _published_cell(published)
@@ -184,20 +170,20 @@ class _Builder:
         return replace(shown, text=f"{shown.text} ({_signed(ours - shown.value, decimals)})")
 
 
-def _published_cell(published: PublishedValue | None) -> GridCell:
+def _published_cell(published: PublishedValue | None) -> Cell:
     if published is None:
-        return GridCell()
+        return Cell()
     if published.status == "cross":
-        return GridCell(CROSS)
+        return Cell(CROSS)
     mark = DAGGER if published.status == "dagger" else ""
-    return GridCell(published.value or "n/r", mark=mark, value=published.number)
+    return Cell(published.value or "n/r", mark=mark, value=published.number)
 
 
-def _statistic_cell(found: Statistic | None, metric: Metric, mark: str) -> GridCell:
+def _statistic_cell(found: Statistic | None, metric: Metric, mark: str) -> Cell:
     if found is None:
-        return GridCell(UNKNOWN)
+        return Cell(UNKNOWN)
     spread = "" if found.std is None else f" ± {found.std:.{metric.decimals}f}"
-    return GridCell(f"{found.mean:.{metric.decimals}f}{spread}", found.n, mark, value=found.mean)
+    return Cell(f"{found.mean:.{metric.decimals}f}{spread}", found.n, mark, value=found.mean)
 
 
 def _signed(difference: float, decimals: int) -> str:
@@ -206,13 +192,11 @@ def _signed(difference: float, decimals: int) -> str:
     return text if text.strip(f"+{MINUS}0.") else text[1:]
 
 
-def _sequence_heading(filled: FilledTable, sequence: str) -> str:
-    """As in the paper, with km and frames where they are known: ``03 (0.56/801)``."""
+def _sequence_column(filled: FilledTable, sequence: str) -> Column:
+    """As in the paper, with km and frames where they are known: ``(0.56/801)``."""
     facts = filled.facts[sequence]
-    if not facts.frames:
-        return sequence
     frames = f"{facts.frames / 1000:g}k" if facts.frames_rounded_to > 1 else str(facts.frames)
-    return f"{sequence} ({facts.length_km:g}/{frames})"
+    return Column(sequence, f"({facts.length_km:g}/{frames})" if facts.frames else "", "right")
 
 
 def _static_camera(filled: FilledTable) -> list[Line]:
@@ -229,16 +213,16 @@ def _static_camera(filled: FilledTable) -> list[Line]:
             if run.static_camera_m is not None
         ]
         if not known:
-            cells.append(GridCell(WITHHELD if filled.facts[sequence].withheld else ""))
+            cells.append(Cell(WITHHELD if filled.facts[sequence].withheld else ""))
             continue
         _, error, is_part = max(known, key=lambda item: item[0])
-        cells.append(GridCell(f"{error:.{metric.decimals}f}", mark=DAGGER if is_part else "", value=error))
+        cells.append(Cell(f"{error:.{metric.decimals}f}", mark=DAGGER if is_part else "", value=error))
     values = [cell.value for cell in cells if cell.value is not None]
-    average = GridCell()
+    average = Cell()
     if len(values) == len(cells):
         mean = sum(values) / len(values)
         mark = DAGGER if any(cell.mark for cell in cells) else ""
-        average = GridCell(f"{mean:.{metric.decimals}f}", mark=mark, value=mean)
+        average = Cell(f"{mean:.{metric.decimals}f}", mark=mark, value=mean)
     return [Line(COMPUTED, f"{STATIC_CAMERA}, frames of our runs", metric, (*cells, average))]
 
 

@@ -1,52 +1,40 @@
-"""What all forms of a named table have in common: the document, its headings and the names on the left."""
+"""A filled grid as a document: its headings, and the names on the left."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from typing import Literal
 
-from bench.tables.named.grid import COMPUTED, ELSEWHERE, Grid, GridCell, Line, heading
-from bench.tables.named.links import relative
+from bench.tables.document.model import Column, Data, Document, Row
+from bench.tables.named.grid import COMPUTED, ELSEWHERE, OURS, Grid, Line, heading
 
-
-@dataclass(frozen=True)
-class Document:
-    """A grid, the notes below it, and the folder that its links are relative to."""
-
-    grid: Grid
-    notes: Sequence[str]
-    folder: Path
-
-    def link(self, run: Path) -> str:
-        """What leads to a run, seen from the document."""
-        return relative(run, self.folder)
+_KINDS: dict[str, Literal["ours", "quiet"]] = {OURS: "ours", ELSEWHERE: "quiet", COMPUTED: "quiet"}
 
 
-def left_headings(grid: Grid) -> list[str]:
-    """The headings of the columns with names, which come before those with numbers."""
-    return ["Method", "Metric", "By"] if grid.has_metric_column else ["Method", "By"]
+def document_of(grid: Grid, notes: Sequence[str], data: Data) -> Document:
+    """The grid with its notes and the numbers behind it."""
+    names = ["Method", "Metric", "By"] if grid.has_metric_column else ["Method", "By"]
+    return Document(
+        name=grid.name,
+        title=grid.title,
+        # The notes that explain the marks use the same words as other columns; only methods have long names.
+        left=tuple(Column(name, wraps=name == "Method") for name in names),
+        columns=grid.columns,
+        blocks=tuple(_rows(grid, block) for block in grid.blocks),
+        notes=tuple(notes),
+        data=data,
+    )
 
 
-def left_names(grid: Grid, block: Sequence[Line]) -> list[list[str]]:
-    """The cells on the left of each line: a method and a metric are named once."""
-    named = []
+def _rows(grid: Grid, block: Sequence[Line]) -> tuple[Row, ...]:
+    """A method and a metric are named once."""
+    rows = []
     method: str | None = None
     metric: str | None = None
     for line in block:
         title = heading(line.metric) if line.metric is not None else ""
         names = ["" if line.method == method else line.method]
         names += ["" if title == metric else title] if grid.has_metric_column else []
-        named.append([*names, line.by])
+        rows.append(Row((*names, line.by), line.cells, _KINDS.get(line.by, "others")))
         method, metric = line.method, title
-    return named
-
-
-def is_quiet(line: Line) -> bool:
-    """Lines that are no method of the paper's or ours, but marks to compare with."""
-    return line.by in (ELSEWHERE, COMPUTED)
-
-
-def plain(cell: GridCell) -> str:
-    """The text of a cell, with the number of runs and its mark."""
-    return cell.text + (f" ({cell.n})" if cell.n else "") + cell.mark
+    return tuple(rows)

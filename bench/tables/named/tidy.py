@@ -1,15 +1,13 @@
-"""A named table as tidy CSV: one row a number, ours and others', with full digits."""
+"""The numbers of a named table, ours and others', one per row with full digits: what its CSV file holds."""
 
 from __future__ import annotations
 
-import csv
-import io
-from pathlib import Path
+from typing import Any
 
+from bench.tables.document.model import Data
 from bench.tables.named.definitions import MethodRow
 from bench.tables.named.fill import FilledTable, Statistic
 from bench.tables.named.grid import OURS, PAPER, PublishedNumbers
-from bench.tables.named.links import relative
 from bench.tables.named.metrics import Metric
 from bench.tables.named.published import AVERAGE, PublishedValue
 
@@ -36,31 +34,26 @@ COLUMNS = (
 )
 
 
-def as_csv(filled: FilledTable, published: PublishedNumbers, folder: Path) -> str:
-    """All numbers of a table; empty where not known. ``by`` is "ours", "paper" or "elsewhere".
+def tidy_data(filled: FilledTable, published: PublishedNumbers) -> Data:
+    """All numbers of a table. ``by`` is "ours", "paper" or "elsewhere".
 
     ``status`` of ours: "ok"; "dagger" = part of the sequence; "cross" = out of memory; another state of the runs in
-    words; "" = not run. ``runs`` are paths relative to ``folder``, separated by blanks, in the order of ``seeds``.
+    words; "" = not run. ``runs`` lead to the runs, in the order of ``seeds``.
     """
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, restval="", lineterminator="\n")
-    writer.writeheader()
-    for value in published.paper:
-        writer.writerow(_published_row(value, PAPER))
-    for value in published.references:
-        writer.writerow(_published_row(value, "elsewhere"))
+    rows: list[dict[str, Any]] = [_published_row(value, PAPER) for value in published.paper]
+    rows += [_published_row(value, "elsewhere") for value in published.references]
     table = filled.table
     for row in table.rows:
         if row.overrides is None and not filled.has_runs(row.label):
             continue
         for metric in table.metrics:
             for sequence in table.sequences:
-                writer.writerow(_our_row(filled, published, row, metric, sequence, folder))
+                rows.append(_our_row(filled, published, row, metric, sequence))
             if table.across == "sequences":
                 paper = published.get(row.published or row.compared_with, metric.key, AVERAGE)
                 start = _start(filled, row, metric, AVERAGE)
-                writer.writerow(start | _number(filled.average(row.label, metric), paper))
-    return text.getvalue()
+                rows.append(start | _number(filled.average(row.label, metric), paper))
+    return Data(COLUMNS, rows)
 
 
 def _published_row(value: PublishedValue, by: str) -> dict[str, str]:
@@ -75,8 +68,8 @@ def _start(filled: FilledTable, row: MethodRow, metric: Metric, sequence: str) -
 
 
 def _our_row(
-    filled: FilledTable, published: PublishedNumbers, row: MethodRow, metric: Metric, sequence: str, folder: Path
-) -> dict[str, str]:
+    filled: FilledTable, published: PublishedNumbers, row: MethodRow, metric: Metric, sequence: str
+) -> dict[str, Any]:
     paper = published.get(row.published or row.compared_with, metric.key, sequence)
     start = _start(filled, row, metric, sequence)
     cell = filled.cells.get((row.label, sequence))
@@ -91,19 +84,19 @@ def _our_row(
         | {
             "seeds": " ".join(str(run.seed) for run in runs),
             "status": "cross" if state == "out of memory" else state if found or not cell.shown else "not known",
-            "frames": str(cell.frames) if cell.shown else "",
-            "frames_of_sequence": str(filled.facts[sequence].frames or ""),
+            "frames": cell.frames if cell.shown else None,
+            "frames_of_sequence": filled.facts[sequence].frames or None,
             "protocol": " ".join(sorted({str(run.protocol.get("name", "")) for run in cell.shown})),
-            "runs": " ".join(relative(run.source, folder) for run in runs),
+            "runs": tuple(run.source for run in runs),
         }
     )
 
 
-def _number(found: Statistic | None, paper: PublishedValue | None) -> dict[str, str]:
-    known = {"paper": paper.value if paper is not None else ""}
+def _number(found: Statistic | None, paper: PublishedValue | None) -> dict[str, Any]:
+    known: dict[str, Any] = {"paper": paper.value if paper is not None else None}
     if found is None:
         return known
-    known |= {"value": repr(found.mean), "std": "" if found.std is None else repr(found.std), "n": str(found.n)}
+    known |= {"value": found.mean, "std": found.std, "n": found.n}
     if paper is not None and paper.number is not None:
-        known["difference"] = repr(found.mean - paper.number)
+        known["difference"] = found.mean - paper.number
     return known

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import unicodedata
 
+from bench.tables.document.model import on_one_line
+
 _SIGNS = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
@@ -35,7 +37,7 @@ _SIGNS = {
 
 def latex_text(text: str) -> str:
     """``text`` as LaTeX prints it in any encoding; letters lose their accents, other unknown signs become "?"."""
-    return "".join(_SIGNS.get(sign) or _ascii(sign) for sign in text)
+    return "".join(_SIGNS.get(sign) or _ascii(sign) for sign in on_one_line(text))
 
 
 def _ascii(sign: str) -> str:

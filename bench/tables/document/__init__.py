@@ -1,0 +1,1 @@
+"""A table as a document, and one writer for each format."""

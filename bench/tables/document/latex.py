@@ -1,0 +1,66 @@
+"""A document in LaTeX, with booktabs rules."""
+
+from __future__ import annotations
+
+from bench.tables.document.latex_text import latex_text
+from bench.tables.document.model import Cell, Column, Document
+
+
+def as_latex(document: Document) -> str:
+    r"""ASCII that needs ``\usepackage{booktabs}``, and ``\usepackage{graphicx}`` for a document with a title.
+
+    A document with a title is a ``table*``, as wide as the text at most, its first note in the caption and the others
+    below. One without is a ``tabular`` for a float of the author's, its notes in comments above.
+    """
+    if not document.title:
+        comments = [f"% {latex_text(note)}" for note in document.notes]
+        return "\n".join([*comments, *_tabular(document)]) + "\n"
+    first, *others = document.notes or ("",)
+    lines = [
+        r"% needs \usepackage{booktabs,graphicx}",
+        r"\begin{table*}[p]",
+        r"\centering",
+        rf"\caption{{\textbf{{{latex_text(document.title)}.}} {latex_text(first)}}}",
+        rf"\label{{tab:{document.name}}}",
+        r"\par\medskip",
+        # Shrunk only where it would stand out of the text.
+        r"\sbox0{\small\setlength{\tabcolsep}{4pt}%",
+        *_tabular(document, "%"),
+        r"}%",
+        r"\ifdim\wd0>\textwidth\resizebox{\textwidth}{!}{\usebox0}\else\usebox0\fi",
+    ]
+    if others:
+        # One paragraph: the notes of a main table would not fit its page as lines of their own.
+        lines += [r"\par\smallskip", r"\begin{minipage}{\textwidth}\scriptsize"]
+        lines += [latex_text(note) for note in others]
+        lines += [r"\end{minipage}"]
+    return "\n".join([*lines, r"\end{table*}"]) + "\n"
+
+
+def _tabular(document: Document, end: str = "") -> list[str]:
+    columns = [*document.left, *document.columns]
+    alignment = "".join("r" if column.align == "right" else "l" for column in columns)
+    lines = [rf"\begin{{tabular}}{{{alignment}}}", r"\toprule", _row([latex_text(column.title) for column in columns])]
+    if any(column.below for column in columns):
+        lines.append(_row([_below(column) for column in columns]))
+    for block in document.blocks:
+        lines.append(r"\midrule")
+        for row in block:
+            cells = [_cell(cell, row.kind == "quiet") for cell in row.cells]
+            lines.append(_row([*(latex_text(name) for name in row.names), *cells]))
+    return [*lines, r"\bottomrule", rf"\end{{tabular}}{end}"]
+
+
+def _below(column: Column) -> str:
+    return rf"\scriptsize {latex_text(column.below)}" if column.below else ""
+
+
+def _row(cells: list[str]) -> str:
+    return " & ".join(cells) + r" \\"
+
+
+def _cell(cell: Cell, quiet: bool) -> str:
+    text = latex_text(cell.plain)
+    if not text:
+        return ""
+    return rf"\textbf{{{text}}}" if cell.best else rf"\textit{{{text}}}" if quiet else text

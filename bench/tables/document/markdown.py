@@ -1,0 +1,52 @@
+"""A document as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bench.tables.document.model import UNKNOWN, Cell, Column, Document, on_one_line
+
+# Signs that mean something in Markdown or in the HTML that it may hold.
+_ESCAPED = str.maketrans({"\\": "\\\\", "|": "\\|", "_": "\\_", "*": "\\*", "`": "\\`", "&": "&amp;", "<": "&lt;"})
+
+
+def as_markdown(document: Document) -> str:
+    """Title, table and notes; each number of runs links to them, named by their seeds."""
+    columns = [*document.left, *document.columns]
+    lines = [f"**{escaped(document.title)}**", ""] if document.title else []
+    lines += [row([_head(column) for column in columns])]
+    lines += ["|" + "".join("---:|" if column.align == "right" else "---|" for column in columns)]
+    for block in document.blocks:
+        for line in block:
+            cells = [_cell(document, cell, line.kind == "quiet") for cell in line.cells]
+            lines.append(row([*map(escaped, line.names), *cells]))
+    notes = [f"- {escaped(note)}" for note in document.notes]
+    return "\n".join([*lines, *([""] if notes else []), *notes]) + "\n"
+
+
+def row(cells: Sequence[str]) -> str:
+    """A line of a Markdown table, of cells that are Markdown."""
+    return "| " + " | ".join(cells) + " |"
+
+
+def escaped(text: str) -> str:
+    """Markdown that shows ``text``, also in a cell."""
+    return on_one_line(text).translate(_ESCAPED).replace("](", "]\\(")
+
+
+def _head(column: Column) -> str:
+    return escaped(f"{column.title} {column.below}".strip())
+
+
+def _cell(document: Document, cell: Cell, quiet: bool) -> str:
+    text = escaped(cell.text)
+    if not text:
+        return ""
+    text = f"**{text}**" if cell.best else f"*{text}*" if quiet and text != UNKNOWN else text
+    links = " ".join(f"[{escaped(name)}](<{_target(document.link(place))}>)" for name, place in cell.links)
+    parts = ": ".join(part for part in (str(cell.n) if cell.n else "", links) if part)
+    return text + (f" ({parts})" if parts else "") + cell.mark
+
+
+def _target(link: str) -> str:
+    return link.replace("|", "%7C").replace("<", "%3C").replace(">", "%3E")

@@ -1,0 +1,94 @@
+"""A table as people read it, whatever it is of: what all writers are given."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+UNKNOWN = "-"
+"""The text of a cell whose value is not known."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """The heading of a column, in one line or two, and how its cells stand below it."""
+
+    title: str
+    below: str = ""
+    """A unit, or how much data there is."""
+    align: Literal["left", "right"] = "left"
+    wraps: bool = False
+    """Whether long texts may be broken in a terminal."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a cell shows. ``value`` is the number behind it where there is one, a mean over ``n`` runs."""
+
+    text: str = ""
+    n: int = 0
+    mark: str = ""
+    best: bool = False
+    value: float | None = None
+    links: tuple[tuple[str, Path], ...] = ()
+    """What leads to each run: how it is called here, and where it is."""
+
+    @property
+    def plain(self) -> str:
+        """The text with the number of runs and the mark."""
+        return self.text + (f" ({self.n})" if self.n else "") + self.mark
+
+
+@dataclass(frozen=True)
+class Row:
+    """``names`` stand in the columns on the left, an empty one where it is that of the row above."""
+
+    names: tuple[str, ...]
+    cells: tuple[Cell, ...]
+    kind: Literal["ours", "others", "quiet"] = "ours"
+    """A quiet row is no method or run, but a mark to compare with."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """The numbers behind a table with full digits, for CSV: rows by column key, None where a value is not known.
+
+    A tuple of paths is written relative to the document's folder, with blanks between them.
+    """
+
+    columns: tuple[str, ...]
+    rows: Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Document:
+    """A table with its title (or none) and the notes below it; ``blocks`` of rows are kept apart by lines.
+
+    ``left`` are the columns of names, ``columns`` those of cells. Links are relative to ``folder``.
+    """
+
+    name: str
+    title: str
+    left: tuple[Column, ...]
+    columns: tuple[Column, ...]
+    blocks: tuple[tuple[Row, ...], ...]
+    notes: tuple[str, ...]
+    data: Data
+    folder: Path = field(default_factory=Path)
+
+    def link(self, path: Path) -> str:
+        """A path as seen from the document, with forward slashes."""
+        return relative(path, self.folder)
+
+
+def relative(path: Path, folder: Path) -> str:
+    """``path`` relative to ``folder``, with forward slashes."""
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+
+
+def on_one_line(text: str) -> str:
+    """``text`` without line breaks, which end a row in some formats."""
+    return " ".join(text.split()) if "\n" in text or "\r" in text else text

@@ -1,0 +1,76 @@
+"""A document as a page of HTML that works from a file, in light and dark, without anything from elsewhere."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+
+from bench.tables.document.model import Cell, Column, Document, Row
+
+_STYLE = (
+    ":root{color-scheme:light dark}"
+    "body{font:12.5px/1.45 system-ui,sans-serif;margin:1.5rem;background:Canvas;color:CanvasText}"
+    "h1{font-size:1.2rem;margin:0 0 .8rem}"
+    "table{border-collapse:collapse;border-top:2px solid;border-bottom:2px solid}"
+    "th,td{padding:.1rem .38rem;white-space:nowrap;font-variant-numeric:tabular-nums}"
+    "th{text-align:left;font-weight:600;vertical-align:bottom}.n{text-align:right}"
+    "th small{display:block;font-weight:400;opacity:.75}"
+    "tbody th{white-space:normal;max-width:9rem;vertical-align:top;font-weight:400}"
+    "thead{border-bottom:1px solid}tbody{border-top:1px solid #8886}"
+    "tbody:hover{background:#8881}"
+    "tr.quiet>*{color:GrayText;font-style:italic}"
+    "td.n a{color:inherit;text-decoration-style:dotted}td.n span{opacity:.75;font-size:.85em}"
+    "div{overflow-x:auto}ul{max-width:70rem;font-size:.88em;padding-left:1.2rem}"
+    "@media print{body{margin:0}div{overflow:visible}}"
+)
+
+
+def as_html(document: Document) -> str:
+    """The page; each number of runs links to them, named by their seeds."""
+    title = html.escape(document.title or document.name)
+    heads = [_head(column) for column in (*document.left, *document.columns)]
+    rows = ["<thead><tr>", *heads, "</tr></thead>"]
+    for block in document.blocks:
+        rows.append("<tbody>")
+        rows += [_row(document, row, _reach(block[number:])) for number, row in enumerate(block)]
+        rows.append("</tbody>")
+    notes = "".join(f"<li>{html.escape(note)}</li>\n" for note in document.notes)
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f'<meta name="viewport" content="width=device-width"><style>{_STYLE}</style></head>\n'
+        f"<body><h1>{title}</h1>\n<div><table>\n"
+        + "\n".join(rows)
+        + f"\n</table></div>\n<ul>\n{notes}</ul>\n</body></html>\n"
+    )
+
+
+def _head(column: Column) -> str:
+    lower = f"<small>{html.escape(column.below)}</small>" if column.below else ""
+    return f'<th scope="col"{_class(column)}>{html.escape(column.title)}{lower}</th>'
+
+
+def _reach(rows: Sequence[Row]) -> int:
+    """How many rows the first one's first name stands for."""
+    others = (place for place, row in enumerate(rows[1:], 1) if row.names[0])
+    return next(others, len(rows))
+
+
+def _row(document: Document, row: Row, reach: int) -> str:
+    first, *others = row.names
+    name = f'<th scope="rowgroup" rowspan="{reach}">{html.escape(first)}</th>' if first else ""
+    name += "".join(f"<td>{html.escape(each)}</td>" for each in others)
+    columns = zip(document.columns, row.cells, strict=True)
+    cells = "".join(f"<td{_class(column)}>{_cell(document, cell)}</td>" for column, cell in columns)
+    return f'<tr class="{row.kind}">{name}{cells}</tr>'
+
+
+def _class(column: Column) -> str:
+    return ' class="n"' if column.align == "right" else ""
+
+
+def _cell(document: Document, cell: Cell) -> str:
+    text = html.escape(cell.text)
+    places = [(name, html.escape(document.link(place))) for name, place in cell.links]
+    links = " ".join(f'<a href="{place}">{html.escape(name)}</a>' for name, place in places)
+    parts = ": ".join(part for part in (str(cell.n) if cell.n else "", links) if part)
+    return (f"<b>{text}</b>" if cell.best else text) + (f" <span>({parts})</span>" if parts else "") + cell.mark
