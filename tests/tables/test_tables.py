@@ -230,7 +230,7 @@ def test_list_has_one_line_a_plugin_and_the_broken_files(
     for module in ("bench.registry", "bench.discovery"):
         monkeypatch.setattr(f"{module}.broken_files", broken)
     (tmp_path / "my_net.py").write_text("import a_package_that_is_not_there\n")
-    assert list_command.run(argparse.Namespace(kind="evaluator", plugins=[str(tmp_path)])) == 0
+    assert list_command.run(argparse.Namespace(kind="evaluator", name=None, plugins=[str(tmp_path)])) == 0
     lines = capsys.readouterr().out.splitlines()
     names = ["ate", "depth_l1", "dialects", "image", "kitti_odometry", "regions", "resources", "rpe"]
     assert [line.split()[1] for line in lines[:8]] == names
@@ -238,4 +238,4 @@ def test_list_has_one_line_a_plugin_and_the_broken_files(
     assert lines[8].startswith("broken")
     assert "my_net.py: ModuleNotFoundError: No module named 'a_package_that_is_not_there'" in lines[8]
     with pytest.raises(BenchError, match=r"kind='evaluators' is not one of .* Did you mean 'evaluator'\?"):
-        list_command.run(argparse.Namespace(kind="evaluators", plugins=[]))
+        list_command.run(argparse.Namespace(kind="evaluators", name=None, plugins=[]))
