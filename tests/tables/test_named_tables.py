@@ -330,7 +330,7 @@ def test_the_command_writes_a_folder_of_formats(
     [
         (["main_kiti"], "There is no folder and no table main_kiti; the tables are ablation, .* Did you mean"),
         (["ablation", "nowhere"], "There is no folder nowhere"),
-        (["ablation", "--out", "table.pdf"], r"--out table\.pdf: the extension says the form, and must be one of \.md, \.csv, \.tex"),
+        (["ablation", "--out", "table.pdf"], r"--out table\.pdf: .* must be one of \.md, \.csv, \.tex"),
     ],
 )
 def test_bad_input_is_one_line(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
