@@ -14,6 +14,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from bench.errors import BenchError
+
 Float = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 Map = npt.NDArray[np.float32]
@@ -95,12 +97,19 @@ class PinholeView:
 
 @dataclass(frozen=True)
 class StereoFrame:
-    """One rectified pair. ``number`` is the frame's number in its data set, ``timestamp`` is in seconds."""
+    """One rectified pair, or a left image alone (``right`` None: RGB-D). ``number`` is the frame's number in its data
+    set, ``timestamp`` is in seconds."""
 
     number: int
     timestamp: float
     left: Image
-    right: Image
+    right: Image | None = None
+
+    def pair(self, part: str, instead: str) -> tuple[Image, Image]:
+        """Left and right image, for a part that needs both; ``BenchError`` naming it and what to choose instead."""
+        if self.right is None:
+            raise BenchError(f"{part} needs a right image, and frame {self.number} has none. Choose {instead}.")
+        return self.left, self.right
 
 
 @dataclass(frozen=True)

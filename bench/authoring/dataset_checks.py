@@ -14,7 +14,7 @@ from bench.authoring import probes
 from bench.authoring.poses import require_trajectory
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.io.images import grey
-from bench.types import StereoCamera, StereoFrame
+from bench.types import Image, StereoCamera, StereoFrame
 
 _LEAST_MATCHES = 30
 _WORST_ROW_OFFSET_PX = 1.0
@@ -55,7 +55,7 @@ def _describes(subject: Subject) -> str:
 
 def _camera(subject: Subject) -> str | Note:
     camera = subject.dataset.camera
-    if min(camera.fx, camera.fy, camera.baseline) <= 0:
+    if min(camera.fx, camera.fy) <= 0 or (subject.dataset.has_right and camera.baseline <= 0):
         raise ContractBrokenError(
             f"fx {camera.fx:.4g}, fy {camera.fy:.4g}, baseline {camera.baseline:.4g}",
             "all positive; the right camera stands at positive x of the left one",
@@ -70,7 +70,11 @@ def _camera(subject: Subject) -> str | Note:
             "__init__",
         )
     text = f"{camera.width}x{camera.height}, fx {camera.fx:.4g} px, baseline {camera.baseline:.4g} m"
-    return text if 0.01 < camera.baseline < 3 else Note(f"{text}: is the baseline in metres?")
+    return (
+        text
+        if 0.01 < camera.baseline < 3 or not subject.dataset.has_right
+        else Note(f"{text}: is the baseline in metres?")
+    )
 
 
 def _frames(subject: Subject) -> str:
@@ -85,17 +89,22 @@ def _frames(subject: Subject) -> str:
                 "StereoFrame(self.numbers[position], timestamp, left, right)",
                 "frame",
             )
-        for side, image in (("left", frame.left), ("right", frame.right)):
+        for side, image in [("left", frame.left)] + [("right", frame.right)] * dataset.has_right:
             expected = (camera.height, camera.width, 3)
             if not isinstance(image, np.ndarray) or image.shape != expected or image.dtype != np.uint8:
                 got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
                 raise ContractBrokenError(
                     f"the {side} image of frame({position}) is {got}",
                     f"uint8 {expected}: RGB, of the camera's size",
-                    "OpenCV reads BGR and, of grey files, 2 dimensions: cv2.cvtColor(image, cv2.COLOR_BGR2RGB)",
+                    "OpenCV reads BGR and, of grey files, 2 dimensions: cv2.cvtColor(image, cv2.COLOR_BGR2RGB); "
+                    "a data set without right images says has_right = False in its class",
                     "frame",
                 )
     return f"RGB uint8, of the camera's size, at positions {', '.join(map(str, subject.sampled))}"
+
+
+def _images(frame: StereoFrame) -> dict[str, Image]:
+    return {"left": frame.left} | ({} if frame.right is None else {"right": frame.right})
 
 
 def _timestamps(subject: Subject) -> str | Note:
@@ -116,18 +125,20 @@ def _timestamps(subject: Subject) -> str | Note:
 def _repeats(subject: Subject) -> str:
     dataset = subject.dataset
     first = dataset.frame(0)
-    left, right = first.left.copy(), first.right.copy()
+    before = {side: image.copy() for side, image in _images(first).items()}
     dataset.frame(len(dataset) - 1)
-    for side, before, kept in (("left", left, first.left), ("right", right, first.right)):
-        probes.require_same(before, kept, f"the {side} image before and after the next frame()", "frame")
-    again = probes.in_thread(lambda: dataset.frame(0))
-    for side, before, after in (("left", left, again.left), ("right", right, again.right)):
-        probes.require_same(before, after, f"frame(0) a second time, in a background thread: its {side} image", "frame")
+    for side, kept in _images(first).items():
+        probes.require_same(before[side], kept, f"the {side} image before and after the next frame()", "frame")
+    for side, after in _images(probes.in_thread(lambda: dataset.frame(0))).items():
+        what = f"frame(0) a second time, in a background thread: its {side} image"
+        probes.require_same(before[side], after, what, "frame")
     return "frame(0) twice, the second time in a background thread: the same bits"
 
 
 def _rectified(subject: Subject) -> str | Note:
     """Matched corners lie in the same row of both images, further left in the right one."""
+    if not subject.dataset.has_right:
+        return Note("no right images (has_right is False)")
     offsets = np.concatenate([_offsets(subject.dataset.frame(position)) for position in subject.sampled])
     if len(offsets) < _LEAST_MATCHES:
         return Note(f"only {len(offsets)} corners could be matched: too few to say")
@@ -152,7 +163,7 @@ def _rectified(subject: Subject) -> str | Note:
 def _offsets(frame: StereoFrame) -> np.ndarray:
     """Left minus right position (N, 2) in px of matched ORB corners of one pair."""
     orb, matcher = cv2.ORB.create(800), cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
-    (left, a), (right, b) = (orb.detectAndCompute(grey(image), None) for image in (frame.left, frame.right))
+    (left, a), (right, b) = (orb.detectAndCompute(grey(image), None) for image in _images(frame).values())
     if a is None or b is None:
         return np.zeros((0, 2))
     found = [match for match in matcher.match(a, b) if match.distance < 40]

@@ -69,6 +69,8 @@ def _write_run(folder: RunFolder, dataset: Any, complete: bool) -> None:
         depth = dataset.true_depth(position)
         depth = np.full(frame.left.shape[:2], 10.0, np.float32) if depth is None else depth
         for view, image in (("left", frame.left), ("right", frame.right)) if complete else ():
+            if image is None:
+                continue
             color = np.minimum(image.astype(np.float32) + 4, 255) / np.float32(255)
             folder.write_view(view, number, RenderedView(color, depth, np.ones_like(depth)), depth)  # type: ignore[arg-type]
     estimate = poses.copy()

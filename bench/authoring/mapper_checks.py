@@ -198,7 +198,10 @@ def _repeats(subject: Subject) -> str:
 def _inputs(subject: Subject) -> str | Note:
     first = subject.keyframes[0]
     left, depth, T = first.frame.left.copy(), first.depth.depth.copy(), first.T_world_cam.copy()
-    blind = [replace(k, frame=replace(k.frame, right=np.zeros_like(k.frame.right))) for k in subject.keyframes]
+    blind = [
+        replace(k, frame=replace(k.frame, right=None if k.frame.right is None else np.zeros_like(k.frame.right)))
+        for k in subject.keyframes
+    ]
     without_right = subject.map(blind)
     probes.require_untouched("the input left", left, first.frame.left, "add_keyframe")
     probes.require_untouched("the input depth", depth, first.depth.depth, "add_keyframe")

@@ -121,10 +121,11 @@ def _inputs(subject: Subject) -> str:
     tracker = subject.candidate.build()
     tracker.start(subject.dataset)
     for frame in subject.frames[:2]:
-        left, right = frame.left.copy(), frame.right.copy()
+        left, right = frame.left.copy(), None if frame.right is None else frame.right.copy()
         tracker.track(StereoFrame(frame.number, frame.timestamp, left, right))
         probes.require_untouched("the input left", frame.left, left, "track")
-        probes.require_untouched("the input right", frame.right, right, "track")
+        if right is not None:
+            probes.require_untouched("the input right", frame.right, right, "track")
     return "left as they were"
 
 

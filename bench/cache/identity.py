@@ -26,9 +26,12 @@ def frame_identity(frame: StereoFrame, with_time: bool) -> bytes:
     return digest.digest()
 
 
-def _feed(digest: hashlib._Hash, *arrays: npt.NDArray[Any]) -> None:
-    """Shape, type and every byte of the arrays."""
+def _feed(digest: hashlib._Hash, *arrays: npt.NDArray[Any] | None) -> None:
+    """Shape, type and every byte of the arrays, or that there is none."""
     for array in arrays:
+        if array is None:
+            digest.update(b"none")
+            continue
         digest.update(repr((array.shape, array.dtype.str)).encode())
         digest.update(np.ascontiguousarray(array).data)
 

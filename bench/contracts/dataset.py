@@ -1,4 +1,4 @@
-"""Contract of a data set: a sequence of rectified stereo pairs."""
+"""Contract of a data set: a sequence of rectified stereo pairs, or of left images alone (RGB-D)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from bench.errors import BenchError
 from bench.types import Map, Mask, StereoCamera, StereoFrame, Trajectory
 
 
@@ -23,9 +24,17 @@ class Dataset(ABC):
     """Frame numbers as in the data set, strictly increasing; ``frame(i)`` has number ``numbers[i]``."""
     is_sequence: bool = True
     """False for a collection of single pairs: neighbours are of different scenes, and may have cameras of their own."""
+    has_right: bool = True
+    """False for frames without a right image (RGB-D): their depth then comes from a plugin such as stereo=lidar, which
+    asks the data set, and the camera's baseline says nothing."""
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    def require_right(self, part: str, instead: str) -> None:
+        """Raise ``BenchError`` that names ``part`` and what to choose instead, where frames have no right image."""
+        if not self.has_right:
+            raise BenchError(f"{part} needs right images, and {self.label} has none. Choose {instead}.")
 
     @abstractmethod
     def frame(self, position: int) -> StereoFrame:

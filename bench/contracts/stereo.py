@@ -11,10 +11,12 @@ from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.types import DepthMap, Image, Map, StereoCamera, StereoFrame
 
+_INSTEAD = "a stereo plugin that takes depth from the data set, such as stereo=lidar"
+
 
 class DepthSource(ABC):
     """Gives the depth of a frame's left image. Most authors subclass ``StereoBackbone`` below, and those who bring a
-    network ``bench.stereo.network.TorchStereo``."""
+    network ``bench.stereo.torch_network.TorchStereo``."""
 
     worth_caching: bool = False
     """Whether one frame costs more than reading its depth from disk: True for networks."""
@@ -36,6 +38,10 @@ class DepthSource(ABC):
 class StereoBackbone(DepthSource):
     """A network or matcher that turns a rectified pair into disparity. An author writes ``disparity`` alone."""
 
+    def start(self, dataset: Dataset) -> None:
+        """Raises ``BenchError`` for a data set without right images."""
+        dataset.require_right(f"stereo backbone {type(self).__name__}", _INSTEAD)
+
     @abstractmethod
     def disparity(self, left: Image, right: Image) -> Map:
         """Disparity of the left image in pixels, (H, W) float32, positive, NaN where unknown."""
@@ -46,7 +52,7 @@ class StereoBackbone(DepthSource):
         Unknown (NaN) where the disparity is not a positive finite number. A frame whose disparity is unknown everywhere
         is a frame without depth; one that has disparities, but none above zero, is an error (``BenchError``).
         """
-        disparity = self.disparity(frame.left, frame.right)
+        disparity = self.disparity(*frame.pair(f"stereo backbone {type(self).__name__}", _INSTEAD))
         try:
             check_disparity(disparity, frame.left.shape[:2], f"{type(self).__name__}.disparity")
             check_sign(disparity, f"{type(self).__name__}.disparity")

@@ -244,7 +244,9 @@ class _View(SavedView):
     def image(self) -> Image:
         """The data set's image."""
         frame = self.run.frame(self.position)
-        return frame.left if self.camera == "left" else frame.right
+        if self.camera == "left":
+            return frame.left
+        return frame.pair("The score of right views", "protocol.right_view=false")[1]
 
     @cached_property
     def lidar(self) -> Map | None:

@@ -21,6 +21,8 @@ from bench.types import Float, StereoFrame, TrackingResult, TrackingState, Traje
 
 log = logging.getLogger(__name__)
 
+_INSTEAD = "tracker=groundtruth, or tracker=trajectory_file with poses of another system"
+
 _ROTATION_TOLERANCE = 1e-3
 """How far R R^T of a peer's pose may be from the identity; many peers compute in float32."""
 
@@ -68,6 +70,7 @@ class PeerTracker(Tracker):
 
     def start(self, dataset: Dataset) -> None:
         """Start the peer; raises ``BenchError`` with its own words when it can't."""
+        dataset.require_right(f"tracker={self._name}", _INSTEAD)
         self._close()
         self._forget()
         self._settings = self.peer_settings(dataset)
@@ -137,7 +140,8 @@ class PeerTracker(Tracker):
         return answer
 
     def _locate(self, frame: StereoFrame) -> TrackingResult:
-        images = {"left": grey(frame.left), "right": grey(frame.right)}
+        left, right = frame.pair(f"tracker={self._name}", _INSTEAD)
+        images = {"left": grey(left), "right": grey(right)}
         asked = Message("track", {"number": int(frame.number), "timestamp": float(frame.timestamp)}, images)
         answer = self._ask(asked, self._limits.timeout_s, "pose")
         self._take_corrections(answer)

@@ -89,7 +89,7 @@ def save_views(system: System, folder: RunFolder) -> None:
     for number, T_world_cam in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
         left = system.mapper.render(PinholeView.of(camera, T_world_cam))
         folder.write_view("left", number, left, _depth_to_save(left, system.protocol))
-        if system.protocol.right_view:
+        if system.protocol.right_view and system.dataset.has_right:
             right = system.mapper.render(PinholeView.of(camera, T_world_cam @ camera.T_left_right))
             folder.write_view("right", number, right, _depth_to_save(right, system.protocol))
 

@@ -49,6 +49,9 @@ class ImageEvaluator(ViewEvaluator):
         else:
             reason = "LPIPS is of whole images, and protocol.sky=out leaves a part of them out"
             self._about = {"notes": {"lpips": reason}}
+        if run.protocol.right_view and not run.dataset.has_right:
+            reason = f"{run.dataset.label} has no right images"
+            self._about = {"notes": {**self._about.get("notes", {}), "right": reason}}
 
     def view(self, view: SavedView) -> None:
         """Score a render against its image."""

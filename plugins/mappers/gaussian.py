@@ -269,4 +269,4 @@ class GaussianMapper(Mapper):
 
 def _without_right(keyframe: Keyframe) -> Keyframe:
     """Replay needs the left image and the depth only; the right images of a long sequence would fill the memory."""
-    return replace(keyframe, frame=replace(keyframe.frame, right=np.empty_like(keyframe.frame.right[:0])))
+    return replace(keyframe, frame=replace(keyframe.frame, right=None))

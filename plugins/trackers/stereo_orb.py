@@ -19,6 +19,8 @@ from bench.tracking.loops.settings import LoopSettings
 from bench.tracking.odometry import FramePose, OdometrySettings, StereoOdometry
 from bench.types import Event, Float, StereoFrame, TrackingResult, Trajectory
 
+_INSTEAD = "tracker=groundtruth, or tracker=trajectory_file with poses of another system"
+
 
 @dataclass(frozen=True)
 class StereoOrbConfig(PluginConfig):
@@ -92,6 +94,7 @@ class StereoOrb(Tracker):
 
     def start(self, dataset: Dataset) -> None:
         """Begin a new sequence with its camera."""
+        dataset.require_right("tracker=stereo_orb", _INSTEAD)
         self._closer = LoopCloser(
             dataset.camera,
             self._config.loops,
@@ -107,7 +110,8 @@ class StereoOrb(Tracker):
     def track(self, frame: StereoFrame) -> TrackingResult:
         """Pose of the frame after local bundle adjustment; "weak" when only predicted, "lost" without a pose."""
         assert self._odometry is not None, "start() comes before track()"
-        found = self._odometry.track(grey(frame.left), grey(frame.right), frame.timestamp)
+        left, right = frame.pair("tracker=stereo_orb", _INSTEAD)
+        found = self._odometry.track(grey(left), grey(right), frame.timestamp)
         self._frames.append((frame.number, frame.timestamp, found))
         pose, events = found.T_world_cam, []
         if found.recognised is not None:
