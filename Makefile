@@ -12,7 +12,7 @@ ifneq ($(wildcard ../shared/weights),)
 export BGS_WEIGHTS ?= $(abspath ../shared/weights)
 endif
 
-.PHONY: install run test check bench clean
+.PHONY: install run test quick check bench clean
 
 install: $(STAMP)
 
@@ -27,6 +27,10 @@ run: install
 
 test: check
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# Under two minutes: without real data and weights, and without the tests that are marked slow.
+quick: check
+	env -u BGS_TEST_DATA -u BGS_WEIGHTS $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 check: install
 	$(BIN)/ruff check bench plugins tests tools

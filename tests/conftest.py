@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+# As the command line does, and before torch is imported: OpenMP threads that wait must not take the cores from others.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
 from bench.discovery import load_plugins
 
 

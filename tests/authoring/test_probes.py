@@ -27,6 +27,7 @@ def test_the_texture_has_contrast_at_every_place() -> None:
     assert texture(50, 60, seed=1).tobytes() != texture(50, 60, seed=2).tobytes()
 
 
+@pytest.mark.slow
 def test_a_leak_of_known_size_is_measured() -> None:
     kept: list[np.ndarray] = []
     cost = cost_of(lambda: kept.append(np.ones(500_000)))

@@ -35,6 +35,7 @@ sys.exit(main())
 """
 
 
+@pytest.mark.slow
 def test_a_file_in_a_checkout(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "plugins", tmp_path / "plugins", ignore=shutil.ignore_patterns("__pycache__"))
     file = write_plugin("stereo", "route_file", tmp_path / "plugins" / "stereo").file

@@ -22,6 +22,7 @@ def files_below(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_new_plugin_passes_its_check(kind: str, tmp_path: Path) -> None:
     place = write_plugin(kind, "brand_new", tmp_path / "mine")

@@ -52,6 +52,7 @@ def calls(log: Path) -> int:
     return len(log.read_text().splitlines()) if log.exists() else 0
 
 
+@pytest.mark.slow
 def test_the_same_bits_and_honest_times(settings: list[str], tmp_path: Path) -> None:
     plain = run(settings, tmp_path / "plain", "cache.enabled=false")
     computed = calls(tmp_path / "stereo.log")

@@ -47,6 +47,7 @@ def run(tmp_path: Path, name: str, *overrides: str) -> Path:
     return run_system(compose_run([*SETTINGS, *options, *overrides])).path
 
 
+@pytest.mark.slow
 def test_a_second_run_repeats_the_first_ones_tracking(tmp_path: Path, tracked: list[int]) -> None:
     """Another loss term and another seed leave tracking as it is; so does the trajectory at each keyframe's time."""
     alone = run(tmp_path, "alone", MAPPED, "cache.all=false", "seed=3", "loss=[rgb,ssim]")
@@ -72,6 +73,7 @@ def test_a_second_run_repeats_the_first_ones_tracking(tmp_path: Path, tracked: l
     assert notes.startswith("stereo or sky of 6 frames and tracking of 6 frames came from the cache")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("override", ["tracker.features=700", "dataset.seed=5", "dataset.frames=5"])
 def test_another_tracker_or_street_is_tracked(tmp_path: Path, tracked: list[int], override: str) -> None:
     run(tmp_path, "one", "mapper=none")
@@ -79,6 +81,7 @@ def test_another_tracker_or_street_is_tracked(tmp_path: Path, tracked: list[int]
     assert len(tracked) == 6 + (5 if "frames" in override else 6)
 
 
+@pytest.mark.slow
 def test_frames_that_changed_on_disk_are_tracked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tracked: list[int]
 ) -> None:
@@ -99,6 +102,7 @@ def test_frames_that_changed_on_disk_are_tracked(
     assert "frame 3 is not the one that was recorded" in (other / "log.txt").read_text()
 
 
+@pytest.mark.slow
 def test_a_damaged_recording_is_made_again(tmp_path: Path, tracked: list[int]) -> None:
     run(tmp_path, "one", "mapper=none")
     (entry,) = (tmp_path / "cache" / "tracker").rglob("*.entry")

@@ -111,6 +111,7 @@ def test_output_that_is_not_writable(capfd: pytest.CaptureFixture[str]) -> None:
     assert capfd.readouterr().err.startswith("bgs-bench: Can't make the run folder /proc/run: ")
 
 
+@pytest.mark.slow
 def test_from_a_fresh_process(tmp_path: Path) -> None:
     process = bgs_bench("run", "dataset=kitti", "dataset.root=nowhere", "dataset.sequence=04", cwd=tmp_path)
     assert process.returncode == 2

@@ -21,6 +21,7 @@ def content_of(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_another_protocol_is_another_run_folder(finished_run: Finished, tmp_path: Path) -> None:
     """The scores are those that a run with that protocol gets, and the folder is the one it would lie in."""
     run = finished_run[0]

@@ -168,6 +168,7 @@ def test_the_folder_of_another_config_is_left_alone(copy: Path, capsys: pytest.C
     assert times_of_files(copy) == before
 
 
+@pytest.mark.slow
 def test_a_sweep_makes_a_folder_a_cell_and_a_table(tmp_path: Path) -> None:
     """Overrides may stand on both sides of -m."""
     process = bgs_bench("run", *TINY, "-m", "seed=0,1", "output=sweep", cwd=tmp_path)
@@ -181,6 +182,7 @@ def test_a_sweep_makes_a_folder_a_cell_and_a_table(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["sweep"]
 
 
+@pytest.mark.slow
 def test_a_cell_that_fails_stops_no_other(tmp_path: Path, stopping_plugin: Path) -> None:
     options = [f"plugins=[{stopping_plugin}]", "tracker=stopping_for_tests,groundtruth", "output=sweep"]
     process = bgs_bench("run", "-m", *TINY[:4], "protocol.lpips=false", *options, cwd=tmp_path)
@@ -190,6 +192,7 @@ def test_a_cell_that_fails_stops_no_other(tmp_path: Path, stopping_plugin: Path)
     assert states == ["done", "failed"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_run_says_interrupted_and_keeps_what_was_done(
     tmp_path: Path, stopping_plugin: Path, signum: signal.Signals
@@ -230,6 +233,7 @@ def test_a_stopped_run_says_interrupted_and_keeps_what_was_done(
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "state", "reason"),
     [

@@ -104,6 +104,7 @@ def test_broken_backbones_have_a_row_and_the_others_go_on(folder: Path, tmp_path
     assert len(images) == 4
 
 
+@pytest.mark.slow
 def test_wrong_input_is_known_before_anything_is_scored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -24,6 +24,7 @@ def test_the_heldout_protocol_keeps_every_fifth_left_image_and_the_right_camera_
     assert protocol.right_view
 
 
+@pytest.mark.slow
 def test_a_named_protocol_can_be_changed_and_checks_its_values() -> None:
     assert compose_run(["protocol=paper", "protocol.ssim=ms-ssim"]).protocol.ssim == "ms-ssim"
     assert compose_run(["protocol=paper", "protocol.sky=out"]).protocol.stamp()["sky"] == "out"

@@ -61,6 +61,7 @@ def root(street: Street, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.slow
 def test_ground_truth_is_the_street_s(root: Path, street: Street) -> None:
     dataset = Kitti360(Kitti360Config(root=str(root), sequence="0009"))
     assert dataset.numbers == tuple(n for n in range(FRAMES) if n not in WITHOUT_POSE)
@@ -80,6 +81,7 @@ def test_lidar_is_the_street_s(root: Path, street: Street) -> None:
         np.testing.assert_allclose(depth, expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_run_finds_its_way(root: Path, street: Street, tmp_path: Path) -> None:
     """Tracked from images alone; evo compares with the street's own poses, and the run's score agrees with evo."""
     out = tmp_path / "run"

@@ -47,6 +47,7 @@ def metrics_of(folder: Path) -> dict[str, Any]:
     return content
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["kitti", "tum"])
 def test_an_exported_run_gets_the_same_numbers(ours: Path, lpips: tuple[str, ...], tmp_path: Path, form: str) -> None:
     theirs = tmp_path / "theirs"
@@ -83,6 +84,7 @@ def test_an_exported_run_gets_the_same_numbers(ours: Path, lpips: tuple[str, ...
     }
 
 
+@pytest.mark.slow
 def test_a_run_of_ours_is_no_foreign_output(ours: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     command = ["score", str(ours), "--name", "X", *STREET, "--output", str(tmp_path / "out")]
     assert main(command) == 2
@@ -108,6 +110,7 @@ def whole_kitti_06(kitti_root: Path, tmp_path_factory: pytest.TempPathFactory) -
     return root
 
 
+@pytest.mark.slow
 def test_real_orbslam2_on_kitti_06(
     test_data: Path, whole_kitti_06: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

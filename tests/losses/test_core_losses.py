@@ -186,6 +186,7 @@ def test_settings_out_of_range_are_refused() -> None:
         _native.geo_loss(image, image, image, mask, None, 1, 1.0, image.clone(), None, False)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(_native.instruction_set() == "baseline", reason="these are the baseline kernels already")
 def test_the_build_for_every_machine_agrees_too() -> None:
     """This file with the kernels that need no AVX2; they are chosen at load, hence the process."""

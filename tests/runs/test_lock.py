@@ -18,6 +18,7 @@ from bench.runs.lock import LOCK_FILE, only_one
 TINY = ("dataset.frames=4", "dataset.width=160", "dataset.height=64", "mapper.iterations=2", "protocol.lpips=false")
 
 
+@pytest.mark.slow
 def test_two_processes_make_a_run_once(tmp_path: Path) -> None:
     """The second one waits, and then shows the row of the first one's run."""
     command = [sys.executable, "-m", "bench.cli", "run", *TINY, f"output={tmp_path / 'run'}"]

@@ -54,6 +54,7 @@ def test_git_state_of_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert collect_provenance({}, 0)["git"]["dirty"] is True
 
 
+@pytest.mark.slow
 def test_peak_memory_sees_what_was_allocated_and_freed() -> None:
     memory = PeakMemory()
     before = memory.host_gb()

@@ -113,6 +113,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(place)], check=True)
 
 
+@pytest.mark.slow
 def test_a_full_disk_fails_the_run_and_space_mends_it(small_disk: Path) -> None:
     """The renders don't fit. The status is told all the same, and once there is space the same command gets through."""
     command = ("run", *TINY, "checkpoint_s=inf", f"output={small_disk / 'run'}")

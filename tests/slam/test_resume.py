@@ -75,6 +75,7 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 # Six frames, one of them held out, then two iterations for each of five keyframes.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("after", "pipeline", "frames_then"),
     [(1, "parallel", 1), (4, "sequential", 4), (9, "parallel", 6)],
@@ -101,6 +102,7 @@ def test_a_resumed_run_has_the_bits_of_an_unbroken_one(
     assert "going on from the checkpoint" in (folder / "log.txt").read_text()
 
 
+@pytest.mark.slow
 def test_a_run_can_be_broken_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unbroken: Path) -> None:
     folder = tmp_path / "run"
     killed_run(folder, monkeypatch, 2)
@@ -110,6 +112,7 @@ def test_a_run_can_be_broken_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (folder / "map.ply").read_bytes() == (unbroken / "map.ply").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("override", ["resume=false", "rerun=true"])
 def test_who_wants_no_resuming_gets_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, override: str) -> None:
     folder = tmp_path / "run"
@@ -121,6 +124,7 @@ def test_who_wants_no_resuming_gets_none(tmp_path: Path, monkeypatch: pytest.Mon
     assert learned == [0, 1, 3, 4, 5]
 
 
+@pytest.mark.slow
 def test_changed_code_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "run"
     killed_run(folder, monkeypatch, 3)
@@ -130,6 +134,7 @@ def test_changed_code_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert "resumed_after_frames" not in json.loads((folder / "provenance.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_damaged_checkpoint_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unbroken: Path) -> None:
     folder = tmp_path / "run"
     killed_run(folder, monkeypatch, 3)
@@ -154,6 +159,7 @@ def test_a_checkpoint_can_run_no_code(tmp_path: Path) -> None:
     assert not (tmp_path / "was_here").exists()
 
 
+@pytest.mark.slow
 def test_a_tracker_that_never_says_the_same_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "run"
     killed_run(folder, monkeypatch, 3, "tracker=groundtruth")
@@ -185,6 +191,7 @@ def test_a_checkpoint_that_cant_be_written_costs_no_run(tmp_path: Path, monkeypa
     assert json.loads((folder / "status.json").read_text())["state"] == "done"
 
 
+@pytest.mark.slow
 def test_times_and_memory_of_both_parts_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The parts' seconds add up; repeating the front end does not count twice."""
     folder = tmp_path / "run"
@@ -200,6 +207,7 @@ def test_times_and_memory_of_both_parts_count(tmp_path: Path, monkeypatch: pytes
     assert resources["peak_memory_gb"] >= told["peak_memory_gb"]
 
 
+@pytest.mark.slow
 def test_the_status_tells_of_frames_and_stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
     monkeypatch.setattr("bench.runs.folder._TELL_S", -1.0)

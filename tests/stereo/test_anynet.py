@@ -12,6 +12,7 @@ from bench.errors import BenchError
 from plugins.stereo.anynet import AnyNetConfig, AnyNetStereo
 
 
+@pytest.mark.slow
 def test_kitti_2015(test_data: Path, weights_root: Path) -> None:
     """The authors' own network gives 1.02 px."""
     left, right, truth = kitti_2015_sample(test_data)
@@ -22,6 +23,7 @@ def test_kitti_2015(test_data: Path, weights_root: Path) -> None:
     np.testing.assert_array_equal(network.disparity(left, right), disparity)
 
 
+@pytest.mark.slow
 def test_the_other_checkpoint(test_data: Path, weights_root: Path) -> None:
     left, right, truth = kitti_2015_sample(test_data)
     network = AnyNetStereo(AnyNetConfig(device="cpu", trained_on="kitti2012"))
@@ -29,6 +31,7 @@ def test_the_other_checkpoint(test_data: Path, weights_root: Path) -> None:
     assert 1.02 < end_point_error(network.disparity(left, right), truth) < 1.5
 
 
+@pytest.mark.slow
 def test_strips_and_left_right_check(test_data: Path, weights_root: Path) -> None:
     left, right, truth = kitti_2015_sample(test_data)
     whole = AnyNetStereo(AnyNetConfig(device="cpu")).disparity(left, right)

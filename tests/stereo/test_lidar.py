@@ -18,6 +18,7 @@ class WithoutSecondScan(Street):
         return None if position == 1 else super().lidar_depth(position)
 
 
+@pytest.mark.slow
 def test_depth_is_the_scan_of_the_frame() -> None:
     street = Street(StreetConfig(frames=3, width=160, height=48))
     source = build(PluginConfig(name="lidar"), "stereo")

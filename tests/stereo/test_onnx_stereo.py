@@ -144,6 +144,7 @@ def test_a_file_is_needed() -> None:
         OnnxStereo(OnnxConfig())
 
 
+@pytest.mark.slow
 def test_nvtiny_on_kitti_2015(test_data: Path, weights_root: Path) -> None:
     """Measured outside this project: end-point error 1.73 px."""
     left, right, truth = kitti_2015_sample(test_data)

@@ -30,6 +30,7 @@ def test_kitti_2015(network: PsmNetStereo, test_data: Path) -> None:
     assert end_point_error(network.disparity(left, right), truth) == pytest.approx(0.27, abs=0.01)
 
 
+@pytest.mark.slow
 def test_part_of_kitti_2015(network: PsmNetStereo, test_data: Path) -> None:
     left, right, truth = kitti_2015_sample(test_data)
     part = (slice(180, 308), slice(400, 912))
@@ -37,6 +38,7 @@ def test_part_of_kitti_2015(network: PsmNetStereo, test_data: Path) -> None:
     assert end_point_error(network.disparity(left[part], right[part])[:, 64:], truth[part][:, 64:]) < 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [9, 30])
 def test_finds_a_known_shift_at_odd_sizes(network: PsmNetStereo, shift: int) -> None:
     pair = shifted_pair(37, 141, shift)
@@ -46,6 +48,7 @@ def test_finds_a_known_shift_at_odd_sizes(network: PsmNetStereo, shift: int) -> 
     np.testing.assert_array_equal(network.disparity(*pair), disparity)
 
 
+@pytest.mark.slow
 def test_fewer_bits_cost_little(network: PsmNetStereo) -> None:
     reduced = PsmNetStereo(NetworkConfig(device="cpu", dtype="bfloat16"))
     pair = shifted_pair(32, 128, 20)

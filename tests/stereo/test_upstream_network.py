@@ -63,6 +63,7 @@ def tcsm(folder: Path) -> Iterator[TemporalUpstreamNetwork]:
     built.close()
 
 
+@pytest.mark.slow
 def test_two_networks_of_one_package_name_side_by_side(igev: UpstreamNetwork, tcsm: UpstreamNetwork) -> None:
     """Both stand-ins assert that ``core.which`` is their own."""
     pair = constant_pair((40, 1, 2), (3, 25, 4))
@@ -254,6 +255,7 @@ def test_tcsm_takes_no_strips(tmp_path: Path) -> None:
     assert TemporalConfig().max_gap == 5
 
 
+@pytest.mark.slow
 def test_onnx_file_takes_the_place_of_checkout_and_weights(weights_root: Path) -> None:
     """On a real network: the same bits as stereo=onnx gives, and no process."""
     file = weights_root / "nvtiny" / "nvtiny_161x513.onnx"

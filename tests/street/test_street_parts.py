@@ -100,6 +100,7 @@ def _round(origin: np.ndarray, ray: np.ndarray, surfaces: Surfaces) -> float:
     return best
 
 
+@pytest.mark.slow
 def test_casting_against_moller_trumbore() -> None:
     street = build_street(1, 60.0)
     surfaces = street.seen_from(35.0)

@@ -105,6 +105,7 @@ def check_gpus(noted: str) -> set[str]:
     return used
 
 
+@pytest.mark.slow
 def test_the_basic_launcher_deals_out_gpus(make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
     bench = make_bench("bench")
@@ -235,6 +236,7 @@ def test_ctrl_c_reaches_the_workers(make_bench: MakeBench, launcher: str) -> Non
     assert len(bench.started()) == 7
 
 
+@pytest.mark.slow
 def test_a_run_that_the_kernel_killed_for_want_of_memory(
     make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

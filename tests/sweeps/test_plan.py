@@ -23,6 +23,7 @@ from bench.tables.named.find import named_table
 SMALL = ("mapper.iterations=3", "tracker=groundtruth")
 
 
+@pytest.mark.slow
 def test_first_seed_of_every_cell_first_and_short_sequences_before_long_ones(kitti: Path) -> None:
     """06 has 2 frames and 03 has 4; four rows of the table have runs of ours."""
     plan = make_plan(named_table("main_kitti"), [f"dataset.root={kitti}"], [1, 0])
@@ -51,6 +52,7 @@ def test_the_run_command_composes_the_very_run(tmp_path: Path) -> None:
         assert planned.folder.parent == root
 
 
+@pytest.mark.slow
 def test_a_setting_that_some_cells_fix_holds_for_the_others(kitti: Path) -> None:
     """Where a row is about that setting, the row's own value stands."""
     plan = make_plan(named_table("main_kitti"), [f"dataset.root={kitti}", "stereo=sgbm"], [0])
@@ -65,6 +67,7 @@ def test_backbones_that_cannot_run_here_are_skipped_with_the_reason(kitti: Path)
     assert len(plan.runs) + len(plan.skipped) == 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("table", "override", "message"),
     [
@@ -182,6 +185,7 @@ def test_cells_of_an_experiment_are_named_by_row(tmp_path: Path) -> None:
     assert plan.runs[-1].label == "Ours (full), mapper.iterations=4, 03, seed 2"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("table", "expected"), [("ablation", "cache.all=true"), ("runtime", "cache.enabled=false")])
 def test_runs_share_but_where_time_and_memory_are_measured(kitti: Path, table: str, expected: str) -> None:
     plan = make_plan(named_table(table), [f"dataset.root={kitti}"], [0])

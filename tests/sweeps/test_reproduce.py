@@ -38,6 +38,7 @@ def test_the_table_of_an_unbroken_sweep(unbroken: Bench) -> None:
     assert [label[-1] for label in started] == ["0"] * 7 + ["1"] * 7 + ["2"] * 7
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_made_again(unbroken: Bench, capfd: pytest.CaptureFixture[str]) -> None:
     before = unbroken.tables()
     unbroken.started()
@@ -137,6 +138,7 @@ def test_two_sweeps_do_the_work_once(make_bench: MakeBench, unbroken: Bench) -> 
     assert bench.tables() == unbroken.tables()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_ends_the_runs_politely(make_bench: MakeBench, sent: signal.Signals) -> None:
     bench = make_bench("bench")

@@ -47,6 +47,7 @@ def test_a_narrow_terminal_gets_the_table_in_parts(table: PaperTable, width: int
     assert text.count("20.50 ± 0.71 (2)") == 7
 
 
+@pytest.mark.slow
 def test_what_is_piped_is_one_table(table: PaperTable) -> None:
     lines = printed(table, 80, terminal=False)
     assert sum(line.startswith("┏") for line in lines) == 1

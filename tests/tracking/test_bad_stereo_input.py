@@ -28,6 +28,7 @@ def states(results: list[Any]) -> str:
     return "".join(r.state[0] for r in results)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [0, 128, 255])
 def test_two_seconds_without_texture(drive: Any, odometry: Any, value: int) -> None:
     blank = np.full_like(drive.pairs[0][0], value)

@@ -49,6 +49,7 @@ class Kitti(Dataset):
         return StereoFrame(position, 0.1 * position, left, right)
 
 
+@pytest.mark.slow
 def test_a_straight_real_road_closes_nothing(kitti_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Searched as eagerly as can be: after 5 places, for loops of 8 m, whatever drift they imply."""
     eager = LoopSettings(training_places=5, min_way_m=8.0, min_similarity=0.0, max_drift=1.0, min_inliers=15)
