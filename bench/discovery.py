@@ -9,11 +9,12 @@ import pkgutil
 import sys
 import traceback
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 import plugins as builtin_plugins
 from bench.errors import BenchError
-from bench.registry import broken_files
+from bench.registry import Plugin, broken_files
 
 ENTRY_POINT_GROUP = "bgs_bench.plugins"
 
@@ -41,6 +42,12 @@ def package_folders() -> list[Path]:
     return found
 
 
+def is_builtin(plugin: Plugin) -> bool:
+    """Whether a plugin is the project's own."""
+    return plugin.cls.__module__.startswith(f"{builtin_plugins.__name__}.")
+
+
+@cache
 def load_evaluators() -> None:
     """Import the evaluators under ``plugins/`` alone, which is quick: tables ask them for their metrics."""
     _load_package("plugins.evaluators", [str(Path(place) / "evaluators") for place in builtin_plugins.__path__])

@@ -9,13 +9,12 @@ from typing import Any
 from rich.console import Console
 
 from bench.errors import BenchError, did_you_mean
-from bench.tables.collect import DEFAULT_FOLDER, collect_row, find_runs
+from bench.tables.collect import DEFAULT_FOLDER, collect_row, find_runs, row_of
 from bench.tables.document.forms import FORMS, form_of, save, text_of
 from bench.tables.named.find import table_names
 from bench.tables.named.records import VIEW_GROUPS, read_runs
 from bench.tables.named.table import make_table
 from bench.tables.records.file import SUFFIX, is_record_file, read_record_file, record_text
-from bench.tables.records.rows import row_of_record
 from bench.tables.render import print_table, runs_document
 
 _ABOUT = f"""The named tables are NAMES; without a name: one row per run.
@@ -82,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     files = [path for path in args.runs if is_record_file(path)]
     given = [path for path in args.runs if path not in files]
     folders = find_runs(given) if given or not files else []
-    rows = [row_of_record(run) for file in files for run in read_record_file(file).runs]
+    rows = [row_of(run) for file in files for run in read_record_file(file).runs]
     rows += [collect_row(folder) for folder in folders]
     document = runs_document(rows)
     if args.format and not args.out:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 from bench.errors import BenchError, require_choice
@@ -47,7 +48,7 @@ class Metric:
         if self.decimals is not None and self.decimals < 0:
             raise BenchError(f"The metric {self.key} can't have {self.decimals} decimals; give 0 or more, or None.")
 
-    @property
+    @cached_property
     def places(self) -> list[list[str]]:
         """The keys that lead to its value, for each value that is added up."""
         return [place.strip().split(".") for place in (self.path or self.key).split("+")]

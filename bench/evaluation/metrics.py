@@ -2,20 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import asdict
+from functools import cache
+from typing import Any
+
 from bench import registry
 from bench.contracts.metric import Metric
-from bench.discovery import load_evaluators
+from bench.discovery import is_builtin, load_evaluators
 from bench.errors import BenchError
+
+DECLARED = "declared"
+"""Where ``metrics.json`` keeps what evaluators from elsewhere declare: tables need it when these are not there."""
 
 
 def declared_metrics() -> tuple[Metric, ...]:
-    """Of all evaluators that are registered, the project's own ones first and then others by name.
+    """Of all evaluators that are registered, the project's own first and then others by name.
 
     Raises ``BenchError`` when two evaluators declare one key for different numbers.
     """
     load_evaluators()
+    return _declared(tuple(registry.names("evaluator")))
+
+
+def brought_with(evaluators: Iterable[str]) -> list[dict[str, Any]]:
+    """What of these evaluators are not the project's own declare, as plain data; ``metrics_from`` reads it."""
+    brought = [registry.lookup("evaluator", name) for name in evaluators]
+    return [asdict(metric) for plugin in brought if not is_builtin(plugin) for metric in plugin.cls.metrics]  # type: ignore[attr-defined]
+
+
+def metrics_from(declared: Any) -> list[Metric]:
+    """The metrics in what ``brought_with`` gave; those that this version of the project can't read are left out."""
+    found = []
+    for values in declared if isinstance(declared, list) else ():
+        try:
+            found.append(Metric(**values))
+        except (TypeError, AttributeError, BenchError):
+            continue
+    return found
+
+
+@cache
+def _declared(evaluators: tuple[str, ...]) -> tuple[Metric, ...]:
     found: dict[str, tuple[str, Metric]] = {}
-    for name in registry.names("evaluator"):
+    for name in evaluators:
         for metric in getattr(registry.lookup("evaluator", name).cls, "metrics", ()):
             owner, known = found.setdefault(metric.key, (name, metric))
             if known != metric:

@@ -13,6 +13,7 @@ from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.frame_states import count_states
 from bench.evaluation.gaps import about_gaps
+from bench.evaluation.metrics import DECLARED, brought_with
 from bench.evaluation.saved_run import ProgressReport, SavedRunFolder
 from bench.io.atomic import write_json, write_text
 from bench.plugin_config import plugin_config_from
@@ -41,6 +42,8 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
         else:
             merge(metrics, evaluator.evaluate(run) if isinstance(evaluator, Evaluator) else evaluator)
     merge(metrics, {"map": _map_size(run), "frames": _frame_counts(run)})
+    if brought := brought_with(run.config.get("evaluator") or {}):
+        metrics[DECLARED] = brought
     gaps = about_gaps(run.frames)
     merge(metrics, {"notes": {"output": gaps}} if gaps else {})
     _record_weights(run)
@@ -111,5 +114,6 @@ def _learned_from_right(run: SavedRunFolder) -> bool | None:
 
 
 def _map_size(run: SavedRunFolder) -> dict[str, Any]:
-    there = (run.path / RESOURCES_FILE).is_file()
-    return {"gaussians": run.resources.get("gaussians") if there else None}
+    resources = run.resources if (run.path / RESOURCES_FILE).is_file() else {}
+    size: dict[str, Any] = resources.get("size") or {"gaussians": resources.get("gaussians")}
+    return size

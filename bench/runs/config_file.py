@@ -27,7 +27,13 @@ def write_config(folder: Path, config: dict[str, Any], config_hash: str) -> None
 
 
 def read_config(folder: Path) -> tuple[dict[str, Any], str] | None:
-    """The config and its hash, or None where the folder has no ``config.yaml`` of a run.
+    """The config and its hash, or None where the folder has no ``config.yaml`` of a run; ``BenchError`` as below."""
+    known = read_shared_config(folder)
+    return None if known is None else (deepcopy(known[0]), known[1])
+
+
+def read_shared_config(folder: Path) -> tuple[dict[str, Any], str] | None:
+    """As ``read_config``, for who reads many: what lies below a top-level key is shared and must not be changed.
 
     Raises ``BenchError`` when the file is damaged.
     """
@@ -39,7 +45,7 @@ def read_config(folder: Path) -> tuple[dict[str, Any], str] | None:
         first = text.partition("\n")[0]
         if not first.startswith(_HASH_LINE):
             return None
-        config = deepcopy(parse_config(text))
+        config = parse_config(text)
     except (OSError, UnicodeDecodeError, YAMLError) as error:
         reason = " ".join(str(error).split())
         raise BenchError(f"{path} can't be read: {reason}. Delete the run folder and run again.") from error

@@ -7,22 +7,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bench.contracts.metric import Metric
 from bench.errors import BenchError
-from bench.evaluation.frame_states import count_states, describe_stretches
-from bench.io.csv_files import read_csv
-from bench.runs.config_file import read_config
-from bench.runs.folder import FRAME_COLUMNS, FRAMES_FILE, METRICS_FILE, RESOURCES_FILE
-from bench.runs.status import read_json, read_status
-from bench.runs.system_name import system_name
+from bench.evaluation.frame_states import describe_stretches
+from bench.evaluation.metrics import declared_metrics
+from bench.runs.folder import METRICS_FILE
+from bench.tables.records.folder import read_run
+from bench.tables.records.record import RunRecord
 
 DEFAULT_FOLDER = Path("results/runs")
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the table: its key in a row, heading, unit, and number of decimals (None: text or a whole number).
+    """A column of the table: its key in a row, heading, unit, and number of decimals.
 
-    An ``optional`` one is shown only where a row has a value for it (a CSV file has it always).
+    Without decimals it is text, or with ``is_number`` a whole number. An ``optional`` one is shown only where a
+    row has a value for it (a CSV file has it always).
     """
 
     key: str
@@ -30,9 +31,10 @@ class Column:
     unit: str = ""
     decimals: int | None = None
     optional: bool = False
+    is_number: bool = False
 
 
-COLUMNS = (
+FIXED = (
     Column("run", "Run"),
     Column("dataset", "Dataset"),
     Column("system", "System"),
@@ -40,26 +42,8 @@ COLUMNS = (
     Column("tracker", "Tracker"),
     Column("status", "Status"),
     Column("frames", "Frames"),
-    Column("ate_rmse_m", "ATE", "m", 3),
-    Column("rpe_trans_rmse_m", "RPE", "m", 4, optional=True),
-    Column("t_rel_percent", "t_rel", "%", 2, optional=True),
-    Column("r_rel_deg_per_100m", "r_rel", "deg/100m", 3, optional=True),
-    Column("t_rel_short_percent", "t_rel 10-50 m", "%", 2, optional=True),
-    Column("r_rel_short_deg_per_100m", "r_rel 10-50 m", "deg/100m", 3, optional=True),
-    Column("psnr_db", "PSNR", "dB", 2),
-    Column("ssim", "SSIM", "", 3),
-    Column("lpips", "LPIPS", "", 3),
-    Column("depth_l1_cm", "Depth-L1", "cm", 1),
-    Column("heldout_psnr_db", "Held-out PSNR", "dB", 2),
-    Column("right_psnr_db", "Right PSNR", "dB", 2),
-    Column("gaussians", "Gaussians"),
-    Column("peak_memory_gb", "Memory", "GB", 2),
-    Column("s_per_frame", "Time", "s/frame", 2),
 )
-
-
-TRAJECTORY_KEYS = tuple(column.key for column in COLUMNS if column.optional or column.key == "ate_rmse_m")
-"""The columns whose values are those of ``metrics.json``'s ``trajectory``, under the same keys."""
+"""What every run has, before its metrics."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +51,8 @@ class Row:
     """Values by column key (None: not known), the protocol stamp of the numbers, and why values are missing.
 
     ``static_camera``: how many frames have ground truth, and the ATE in metres of a camera that never moves in them.
-    A reference row is no run: it is a mark to compare runs with.
+    A reference row is no run: it is a mark to compare runs with. ``own_metrics`` are those that no evaluator of the
+    project declares.
     """
 
     values: dict[str, Any]
@@ -75,6 +60,7 @@ class Row:
     notes: tuple[str, ...] = ()
     static_camera: tuple[int, float] | None = None
     is_reference: bool = False
+    own_metrics: tuple[Metric, ...] = ()
 
 
 def find_runs(paths: list[Path]) -> list[Path]:
@@ -97,41 +83,42 @@ def find_runs(paths: list[Path]) -> list[Path]:
 
 def collect_row(folder: Path) -> Row:
     """The row of one run folder; never raises for what the folder holds."""
-    values: dict[str, Any] = {column.key: None for column in COLUMNS}
-    values["run"] = folder.resolve().name
-    notes: list[str] = []
-    metrics: dict[str, Any] = {}
-    for part in (_from_status, _from_config, _from_resources):
-        try:
-            values |= part(folder)
-        except BenchError as error:
-            notes.append(str(error))
-    frames: dict[str, Any] = {}
-    try:
-        metrics = read_json(folder / METRICS_FILE) if (folder / METRICS_FILE).is_file() else {}
-        frames = _part(metrics, "frames") or _count_frames(folder)
-    except BenchError as error:
-        notes.append(str(error))
-    reason = values.pop("reason", "")
-    return row_from_parts(values, metrics, frames, reason, notes)
+    return row_of(read_run(folder))
 
 
-def row_from_parts(
-    values: dict[str, Any], metrics: dict[str, Any], frames: dict[str, Any], reason: str, damaged: Sequence[str] = ()
-) -> Row:
-    """A row from ``values`` by column key, to which those in ``metrics.json`` are added.
-
-    ``frames`` counts tracking states; ``reason`` is why the run stopped, ``damaged`` what of it can't be read.
-    """
-    values |= _from_metrics(metrics)
+def row_of(run: RunRecord) -> Row:
+    """The row of a run, from its folder or a record file; of a run that was never scored a record lacks resources."""
+    values: dict[str, Any] = {
+        "run": run.name,
+        "dataset": run.dataset,
+        "system": run.system,
+        "stereo": run.plugin("stereo"),
+        "tracker": run.plugin("tracker"),
+        "status": run.state,
+        "frames": f"{run.frames_done}/{run.frames_total}" if run.frames_total else None,
+    }
+    for metric in (*declared_metrics(), *run.own_metrics):
+        value = metric.value_in(run.metrics)
+        values[metric.key] = metric.value_in(run.measured) if value is None else value
+    frames, trajectory = run.part("frames") or dict(run.measured.get("frames", {})), run.part("trajectory")
     _show_tracked(frames, values)
-    if damaged:
-        values["status"] = f"{values['status'] or ''} (damaged)".strip()
+    if run.damage:
+        values["status"] = f"{values['status']} (damaged)".strip()
     # The run's own words on why it stopped, and on what it could not compute.
-    notes = [*damaged, *([f"stopped: {reason}"] if reason else [])]
-    notes += about_lost_frames(frames, _part(metrics, "trajectory"))
-    notes += [f"{name}: {note}" for name, note in _part(metrics, "notes").items()]
-    return Row(values, _part(metrics, "protocol"), tuple(notes), static_camera_of(_part(metrics, "trajectory"), frames))
+    notes = [*run.damage, *([f"stopped: {run.reason}"] if run.reason else [])]
+    notes += [*about_lost_frames(frames, trajectory), *run.notes]
+    static_camera = static_camera_of(trajectory, frames)
+    return Row(values, dict(run.protocol), tuple(notes), static_camera, own_metrics=run.own_metrics)
+
+
+def columns_of(rows: Sequence[Row]) -> tuple[Column, ...]:
+    """The columns of a table of runs: what every run has, and all metrics that evaluators declare."""
+    metrics = {metric.key: metric for row in rows for metric in row.own_metrics}
+    metrics |= {metric.key: metric for metric in declared_metrics()}
+    shown = sorted((metric for metric in metrics.values() if metric.column != "never"), key=lambda each: each.order)
+    return FIXED + tuple(
+        Column(each.key, each.title, each.unit, each.decimals, each.column == "known", is_number=True) for each in shown
+    )
 
 
 def static_camera_of(trajectory: dict[str, Any], frames: dict[str, Any]) -> tuple[int, float] | None:
@@ -158,23 +145,6 @@ def _looks_like_run(folder: Path) -> bool:
     return any((folder / name).is_file() for name in ("config.yaml", "status.json", METRICS_FILE))
 
 
-def _from_status(folder: Path) -> dict[str, Any]:
-    status = read_status(folder)
-    if status is None:
-        return {"status": "no status"}
-    frames = f"{status.frames_done}/{status.frames_total}" if status.frames_total else None
-    return {"status": status.describe(), "frames": frames, "reason": status.reason}
-
-
-def _count_frames(folder: Path) -> dict[str, Any]:
-    """Tracking states of a run that was not scored."""
-    path = folder / FRAMES_FILE
-    if not path.is_file():
-        return {}
-    table = read_csv(path, FRAME_COLUMNS)
-    return {"total": len(table)} | count_states(table["number"].tolist(), table["state"].tolist())
-
-
 def _show_tracked(frames: dict[str, Any], values: dict[str, Any]) -> None:
     """Put the number of tracked frames, and in the status how many were lost, into a row's values."""
     tracked, lost = frames.get("tracked"), frames.get("lost")
@@ -184,56 +154,3 @@ def _show_tracked(frames: dict[str, Any], values: dict[str, Any]) -> None:
     values["frames"] = f"{tracked}/{total}"
     if lost:
         values["status"] = f"{values['status']}, {lost} frames lost"
-
-
-def _from_config(folder: Path) -> dict[str, Any]:
-    known = read_config(folder)
-    if known is None:
-        return {}
-    config, _ = known
-    dataset = config.get("dataset")
-    name = _name(dataset)
-    sequence = dataset.get("sequence") if isinstance(dataset, dict) else None
-    return {
-        "dataset": f"{name}/{sequence}" if sequence not in (None, "") else name,
-        "system": system_name(config),
-        "stereo": _name(config.get("stereo")),
-        "tracker": _name(config.get("tracker")),
-    }
-
-
-def _from_resources(folder: Path) -> dict[str, Any]:
-    """What a run that failed before it was scored has measured."""
-    if not (folder / RESOURCES_FILE).is_file():
-        return {}
-    resources = read_json(folder / RESOURCES_FILE)
-    return _resource_values(resources) | {"gaussians": resources.get("gaussians")}
-
-
-def _from_metrics(metrics: dict[str, Any]) -> dict[str, Any]:
-    views = _part(metrics, "views")
-    left = _part(views, "left")
-    values = {key: left.get(key) for key in ("psnr_db", "ssim", "lpips", "depth_l1_cm")}
-    values |= {key: _part(metrics, "trajectory").get(key) for key in TRAJECTORY_KEYS}
-    values["heldout_psnr_db"] = _part(views, "heldout").get("psnr_db")
-    values["right_psnr_db"] = _part(views, "right").get("psnr_db")
-    values["gaussians"] = _part(metrics, "map").get("gaussians")
-    values |= _resource_values(_part(metrics, "resources"))
-    return {key: value for key, value in values.items() if value is not None}
-
-
-def _resource_values(resources: dict[str, Any]) -> dict[str, Any]:
-    stages = [resources.get(f"{stage}_s_per_frame") for stage in ("tracking", "stereo", "mapping")]
-    known = [seconds for seconds in stages if isinstance(seconds, (int, float))]
-    return {"peak_memory_gb": resources.get("peak_memory_gb"), "s_per_frame": sum(known) if known else None}
-
-
-def _part(mapping: dict[str, Any], key: str) -> dict[str, Any]:
-    part = mapping.get(key)
-    return part if isinstance(part, dict) else {}
-
-
-def _name(plugin: Any) -> str | None:
-    """The name of a part of the config, which is a mapping with a name, or the name itself."""
-    name = plugin.get("name") if isinstance(plugin, dict) else plugin
-    return str(name) if name not in (None, "") else None

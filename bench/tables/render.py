@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.tables.collect import COLUMNS, Column, Row
+from bench.tables.collect import Column, Row, columns_of
 from bench.tables.document import model
 from bench.tables.document.model import UNKNOWN, Cell, Data, Document
 from bench.tables.document.terminal import print_document
@@ -34,11 +34,12 @@ _STAMP = (
 )
 
 
-def runs_document(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS, name: str = "Runs") -> Document:
+def runs_document(rows: Sequence[Row], columns: Sequence[Column] = (), name: str = "Runs") -> Document:
     """One row per run, then the static camera's for each data set; without the optional columns that no row has.
 
-    The data has all columns, and the name of each row's protocol.
+    The columns are by default those of the table of runs. The data has all columns, and the name of each row's protocol.
     """
+    columns = columns or columns_of(rows)
     references = static_camera_rows(rows)
     first, *others = columns_with_values(rows, columns)
     blocks = [tuple(_row(row, first, others) for row in block) for block in (rows, references) if block]
@@ -54,8 +55,9 @@ def runs_document(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS, name
     )
 
 
-def print_table(rows: Sequence[Row], console: Console, columns: Sequence[Column] = COLUMNS) -> None:
+def print_table(rows: Sequence[Row], console: Console, columns: Sequence[Column] = ()) -> None:
     """Print the table of runs with its notes; a single run is printed as a list, which fits any terminal."""
+    columns = columns or columns_of(rows)
     document = runs_document(rows, columns)
     print_document(_as_list(rows[0], columns, document) if len(rows) == 1 else document, console)
 
@@ -84,7 +86,7 @@ def shown(column: Column, row: Row) -> str:
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def columns_with_values(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> list[Column]:
+def columns_with_values(rows: Sequence[Row], columns: Sequence[Column]) -> list[Column]:
     """``columns`` without the optional ones that no row has a value for."""
     return [
         column
@@ -99,7 +101,7 @@ def _row(row: Row, first: Column, others: Sequence[Column]) -> model.Row:
 
 
 def _heading(column: Column) -> model.Column:
-    is_number = column.decimals is not None or column.key == "gaussians"
+    is_number = column.decimals is not None or column.is_number
     return model.Column(column.title, f"[{column.unit}]" if column.unit else "", "right" if is_number else "left")
 
 

@@ -86,7 +86,7 @@ def test_the_reader_survives_odd_text(tmp_path: Path) -> None:
     }
     write_config(tmp_path, odd, "abc")
     assert read_folder(tmp_path).config == odd
-    (tmp_path / "config.yaml").write_text("system: [a\nseed: 1\n")
+    (tmp_path / "config.yaml").write_text("# bgs-bench run, config hash abc\nsystem: [a\nseed: 1\n")
     with pytest.raises(BenchError, match=r"config\.yaml can't be read: .* Delete the run folder"):
         read_folder(tmp_path)
 

@@ -82,7 +82,7 @@ def scored_groups(records: Sequence[RunRecord]) -> list[ScoredGroup]:
     settings: dict[str, dict[str, str]] = {}
     for record in records:
         dialects = record.part("dialects")
-        if not dialects or not record.values:
+        if not dialects or not record.is_scored:
             continue
         of_run = settings_of(scored_config(record))
         stamps = {by: dialect.get("stamp") for by, dialect in dialects.items()}

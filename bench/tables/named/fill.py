@@ -64,7 +64,7 @@ class _Preference:
     def __call__(self, runs: Sequence[_Found]) -> tuple[bool, bool, int, int, int, int, str]:
         """Sorts first what is to be shown, of runs that have their settings in common."""
         settings, key = runs[0].settings, runs[0].key
-        scored = [run.record for run in runs if run.record.values]
+        scored = [run.record for run in runs if run.record.is_scored]
         most_frames = max((record.frames for record in scored), default=0)
         other_protocol = bool(self.protocol) and settings.get("protocol.name") != self.protocol
         rank = self.ranks[common(settings, self.varied)]
@@ -192,7 +192,7 @@ def _ranks(found: Mapping[Place, list[_Found]], varied: set[str]) -> dict[str, i
     for place, members in found.items():
         for member in members:
             key = common(member.settings, varied)
-            scored = member.record.frames if member.record.values else 0
+            scored = member.record.frames if member.record.is_scored else 0
             frames[key][place] = max(scored, frames[key].get(place, 0))
             runs[key] += 1
     ordered = sorted(runs, key=lambda key: (-sum(frames[key].values()), -runs[key], key))
@@ -215,22 +215,22 @@ def _fill_cell(runs: list[_Found], facts: SequenceFacts, preference: _Preference
         )
     state = "" if shown else _state_of(records)
     is_part = bool(shown) and facts.is_part(shown[0].frames)
-    unscored = sorted((run for run in records if not run.values), key=lambda run: (run.seed, run.name))
+    unscored = sorted((run for run in records if not run.is_scored), key=lambda run: (run.seed, run.name))
     return FilledCell(tuple(shown), state, is_part, best[0].settings, tuple(notes), tuple(unscored))
 
 
 def choose_runs(runs: list[RunRecord]) -> tuple[list[RunRecord], list[str]]:
     """Of runs that differ in their seed alone: one scored run a seed, all over the same frames; notes on the others."""
-    scored = [run for run in runs if run.values]
+    scored = [run for run in runs if run.is_scored]
     frames = max((run.frames for run in scored), default=0)
     by_seed: dict[int, RunRecord] = {}
     repeated: dict[int, int] = defaultdict(int)
     notes = []
     for run in sorted(runs, key=lambda run: (run.seed, run.state != "done", run.name)):
-        if run.values and run.frames == frames:
+        if run.is_scored and run.frames == frames:
             by_seed.setdefault(run.seed, run)
             repeated[run.seed] += 1
-        elif run.values:
+        elif run.is_scored:
             notes.append(f"seed {run.seed} left out: {run.state} after {run.frames} frames")
         else:
             notes.append(f"seed {run.seed}: {'not scored' if run.state == 'done' else run.state}{_because(run)}")

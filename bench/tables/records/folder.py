@@ -2,39 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-from yaml import YAMLError  # type: ignore[import-untyped]  # comes with omegaconf
+from typing import Any, TypeVar
 
 from bench.errors import BenchError
-from bench.runs.config_file import CONFIG_FILE
-from bench.runs.config_text import parse_config
+from bench.evaluation.frame_states import count_states
+from bench.io.csv_files import read_csv
+from bench.runs.config_file import CONFIG_FILE, read_shared_config
 from bench.runs.events import read_events
-from bench.runs.folder import METRICS_FILE, PROVENANCE_FILE
+from bench.runs.folder import FRAME_COLUMNS, FRAMES_FILE, METRICS_FILE, PROVENANCE_FILE, RESOURCES_FILE
 from bench.runs.status import read_json, read_status
 from bench.tables.records.portable import portable, portable_config, portable_text
 from bench.tables.records.record import RunRecord
 
+T = TypeVar("T")
+
+
+def read_run(folder: Path) -> RunRecord:
+    """A run folder as it is, with what an unscored run measured; what can't be read is left out and in ``damage``."""
+    run = _read(folder)
+    damage = list(run.damage)
+    resources: dict[str, Any] = _tried(lambda: _if_there(folder / RESOURCES_FILE), {}, damage)
+    frames: dict[str, Any] = _tried(lambda: _count_frames(run), {}, damage)
+    measured = {
+        "resources": resources,
+        "map": resources.get("size") or resources,
+        "frames": frames,
+    }
+    return replace(run, measured=measured, damage=tuple(damage))
+
 
 def read_folder(folder: Path, views: str = "left") -> RunRecord:
-    """The record of a run folder; raises ``BenchError`` when a file that is there is damaged, or there is no config."""
-    config = _read_config(folder / CONFIG_FILE)
-    status = read_status(folder)
-    metrics = read_json(folder / METRICS_FILE) if (folder / METRICS_FILE).is_file() else {}
-    stamp = metrics.pop("protocol", {})
-    return RunRecord(
-        name=folder.resolve().name,
-        source=folder,
-        config=portable_config(config),
-        state="no status" if status is None else status.describe(),
-        reason=portable_text(status.reason) if status is not None else "",
-        frames_done=status.frames_done if status is not None else 0,
-        frames_total=status.frames_total if status is not None else 0,
-        date=status.updated.partition("T")[0] if status is not None else "",
-        metrics=portable(metrics),
-        protocol=portable(stamp) if isinstance(stamp, dict) else {},
+    """A run folder as it may be kept: with its provenance, and without anything about where it lay.
+
+    Raises ``BenchError`` when a file that is there is damaged, or there is no config.
+    """
+    run = _read(folder)
+    if run.damage:
+        raise BenchError(run.damage[0])
+    if not run.config:
+        raise BenchError(f"{folder / CONFIG_FILE} holds no settings of a run. Delete the run folder and run again.")
+    return replace(
+        run,
+        config=portable_config(run.config),
+        reason=portable_text(run.reason),
+        metrics=portable(run.metrics),
+        protocol=portable(run.protocol),
         provenance=read_provenance(folder),
         views=views,
     )
@@ -45,8 +60,7 @@ def read_provenance(folder: Path) -> dict[str, Any]:
 
     Without names of users or folders. Empty where nothing was written; ``BenchError`` for a damaged file.
     """
-    path = folder / PROVENANCE_FILE
-    written = read_json(path) if path.is_file() else {}
+    written = _if_there(folder / PROVENANCE_FILE)
     found: dict[str, Any] = {key: written[key] for key in ("git", "packages", "python", "weights") if key in written}
     machine = written.get("machine")
     if isinstance(machine, Mapping):
@@ -57,17 +71,44 @@ def read_provenance(folder: Path) -> dict[str, Any]:
     return {key: portable(value) for key, value in found.items()}
 
 
-def _read_config(path: Path) -> dict[str, Any]:
+def _read(folder: Path) -> RunRecord:
+    damage: list[str] = []
+    status = _tried(lambda: read_status(folder), None, damage)
+    state = status.describe() if status is not None else "" if damage else "no status"
+    config = _tried(lambda: read_shared_config(folder), None, damage)
+    metrics: dict[str, Any] = _tried(lambda: _if_there(folder / METRICS_FILE), {}, damage)
+    stamp = metrics.pop("protocol", {})
+    return RunRecord(
+        name=folder.resolve().name,
+        source=folder,
+        config=config[0] if config is not None else {},
+        state=state,
+        reason=status.reason if status is not None else "",
+        frames_done=status.frames_done if status is not None else 0,
+        frames_total=status.frames_total if status is not None else 0,
+        date=status.updated.partition("T")[0] if status is not None else "",
+        metrics=metrics,
+        protocol=stamp if isinstance(stamp, dict) else {},
+        damage=tuple(damage),
+    )
+
+
+def _tried(read: Callable[[], T], otherwise: T, damage: list[str]) -> T:
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"Can't read {path}: {error}. Delete the run folder and run again.") from error
-    try:
-        config = parse_config(text)
-    except YAMLError as error:
-        raise BenchError(
-            f"{path} can't be read: {' '.join(str(error).split())}. Delete the run folder and run again."
-        ) from error
-    if not config:
-        raise BenchError(f"{path} holds no settings. Delete the run folder and run again.")
-    return config
+        return read()
+    except BenchError as error:
+        damage.append(str(error))
+        return otherwise
+
+
+def _count_frames(run: RunRecord) -> dict[str, Any]:
+    """Tracking states of a run that was not scored."""
+    path = run.source / FRAMES_FILE
+    if run.part("frames") or run.damage or not path.is_file():
+        return {}
+    table = read_csv(path, FRAME_COLUMNS)
+    return {"total": len(table)} | count_states(table["number"].tolist(), table["state"].tolist())
+
+
+def _if_there(path: Path) -> dict[str, Any]:
+    return read_json(path) if path.is_file() else {}

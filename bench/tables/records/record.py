@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from bench.contracts.metric import Metric
+from bench.evaluation.metrics import DECLARED, declared_metrics, metrics_from
+from bench.runs.system_name import system_name
+
 VIEW_GROUPS = ("left", "heldout", "right")
-_IMAGE_KEYS = ("psnr_db", "ssim", "lpips", "depth_l1_cm")
+_LEFT = "views.left."
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,8 @@ class RunRecord:
     ``state`` is that of ``status.json`` in words ("done", "out of memory", "killed" ...), ``date`` its day. ``metrics``
     are those of ``metrics.json`` but for ``protocol``, their stamp; ``provenance`` is that of ``read_provenance``.
     ``views`` says whose PSNR, SSIM, LPIPS and Depth-L1 are its ``values``: "left" (all left images), "heldout" or
-    "right".
+    "right". Only a folder knows what a run that was not scored had ``measured``, in the form of metrics, and what of
+    itself can't be read (``damage``).
     """
 
     name: str
@@ -35,12 +40,32 @@ class RunRecord:
     protocol: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     views: str = "left"
+    measured: Mapping[str, Any] = field(default_factory=dict)
+    damage: tuple[str, ...] = ()
 
     @property
     def seed(self) -> int:
         """The run's seed; 0 where its config has none."""
         seed = self.config.get("seed")
         return seed if isinstance(seed, int) else 0
+
+    @property
+    def system(self) -> str | None:
+        """What tables call the system; None where the config has none."""
+        return system_name(self.config)
+
+    @property
+    def dataset(self) -> str | None:
+        """Data set and sequence, as "kitti/06"."""
+        dataset, name = self.config.get("dataset"), self.plugin("dataset")
+        sequence = dataset.get("sequence") if isinstance(dataset, Mapping) else None
+        return f"{name}/{sequence}" if sequence not in (None, "") else name
+
+    def plugin(self, kind: str) -> str | None:
+        """Name of the plugin of a kind in the config, or None."""
+        part = self.config.get(kind)
+        name = part.get("name") if isinstance(part, Mapping) else part
+        return str(name) if name not in (None, "") else None
 
     @cached_property
     def frames(self) -> int:
@@ -52,13 +77,31 @@ class RunRecord:
         return self.frames_done
 
     @cached_property
+    def own_metrics(self) -> tuple[Metric, ...]:
+        """Metrics that no evaluator of the project declares: those of the user's evaluators, and sizes of the map."""
+        known = {metric.key for metric in declared_metrics()}
+        sizes = [Metric(key, key.capitalize(), "", None, None, f"map.{key}", order=70) for key in self.part("map")]
+        return tuple(
+            metric for metric in (*metrics_from(self.metrics.get(DECLARED)), *sizes) if metric.key not in known
+        )
+
+    @cached_property
     def values(self) -> dict[str, float]:
-        """Numbers by metric key, only those that are known."""
-        image = _part(self.part("views"), self.views)
-        found: dict[str, Any] = {key: image.get(key) for key in _IMAGE_KEYS}
-        found |= self.part("resources")
-        found["ate_rmse_m"] = self.part("trajectory").get("ate_rmse_m")
-        return {key: value for key, value in found.items() if is_number(value)}
+        """Numbers by metric key, only those that are known; image metrics are those of ``views``."""
+        found = {}
+        for metric in (*declared_metrics(), *self.own_metrics):
+            if self.views != "left" and metric.path.startswith(_LEFT):
+                metric = replace(metric, path=f"views.{self.views}.{metric.path.removeprefix(_LEFT)}")
+            value = metric.value_in(self.metrics)
+            if value is not None:
+                found[metric.key] = value
+        return found
+
+    @cached_property
+    def is_scored(self) -> bool:
+        """Whether a number is known but for the map's size, which is no score."""
+        sizes = {metric.key for metric in (*declared_metrics(), *self.own_metrics) if metric.path.startswith("map.")}
+        return bool(self.values.keys() - sizes)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -73,12 +116,8 @@ class RunRecord:
 
     def part(self, name: str) -> dict[str, Any]:
         """A part of the metrics ("trajectory", "views", ...); empty where there is none."""
-        return _part(self.metrics, name)
-
-
-def _part(mapping: Mapping[str, Any], key: str) -> dict[str, Any]:
-    part = mapping.get(key)
-    return part if isinstance(part, dict) else {}
+        part = self.metrics.get(name)
+        return part if isinstance(part, dict) else {}
 
 
 def is_number(value: Any) -> bool:
