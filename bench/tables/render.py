@@ -37,7 +37,7 @@ _STAMP = (
 def runs_document(rows: Sequence[Row], columns: Sequence[Column] = (), name: str = "Runs") -> Document:
     """One row per run, then the static camera's for each data set; without the optional columns that no row has.
 
-    The columns are by default those of the table of runs. The data has all columns, and the name of each row's protocol.
+    The columns are by default those of the table of runs. The data has all of them, and the name of the protocol.
     """
     columns = columns or columns_of(rows)
     references = static_camera_rows(rows)
