@@ -112,12 +112,33 @@ class StereoFrame:
         return self.left, self.right
 
 
+def check_confidence(confidence: Map, shape: tuple[int, ...], source: str) -> None:
+    """Raise ``BenchError`` unless it is a float32 array of ``shape`` from 0 to 1; ``source`` names who gave it."""
+    expected = f"expected float32 {shape}, from 0 (none) to 1 (sure)"
+    if not isinstance(confidence, np.ndarray) or confidence.shape != shape or confidence.dtype != np.float32:
+        is_array = isinstance(confidence, np.ndarray)
+        got = f"{confidence.dtype} {confidence.shape}" if is_array else type(confidence).__name__
+        raise BenchError(f"{source} gave a confidence that is {got}; {expected}.")
+    if not ((confidence >= 0) & (confidence <= 1)).all():
+        reach = f"{confidence.min():.4g} to {confidence.max():.4g}"
+        raise BenchError(f"{source} gave a confidence that reaches from {reach}; {expected}.")
+
+
 @dataclass(frozen=True)
 class DepthMap:
-    """Depth of the left image, in metres, NaN where unknown, (H, W) float32; ``source`` names the plugin."""
+    """Depth of the left image, in metres, NaN where unknown, (H, W) float32; ``source`` names the plugin.
+
+    ``confidence`` in the depth, (H, W) float32 from 0 (none) to 1 (sure), or None from a plugin that has none; anything
+    else raises ``BenchError`` naming the plugin. Where the depth is unknown it says nothing.
+    """
 
     depth: Map
     source: str
+    confidence: Map | None = None
+
+    def __post_init__(self) -> None:
+        if self.confidence is not None:
+            check_confidence(self.confidence, self.depth.shape, self.source)
 
     @property
     def known(self) -> Mask:

@@ -25,11 +25,13 @@ class DamagedEntryError(Exception):
 
 @dataclass(frozen=True)
 class Stored:
-    """A depth map (float32) or a mask (bool), (H, W); the seconds that computing it took; who made it."""
+    """A depth map (float32) or a mask (bool), (H, W); the seconds that computing it took; who made it; the confidence
+    in a depth map, (H, W) float32, or None."""
 
     array: npt.NDArray[Any]
     seconds: float
     source: str
+    confidence: npt.NDArray[np.float32] | None = None
 
 
 def encode(stored: Stored) -> bytes:
@@ -43,6 +45,10 @@ def encode(stored: Stored) -> bytes:
         "seconds": stored.seconds,
         "source": stored.source,
     }
+    if stored.confidence is not None:
+        # Behind the depth, and of the same size.
+        header["confidence"] = True
+        payload += np.ascontiguousarray(stored.confidence, "<f4").tobytes()
     body = json.dumps(header).encode() + b"\n" + payload
     return _FORMAT + f"{zlib.crc32(body):0{_CHECKSUM_DIGITS}x}\n".encode() + body
 
@@ -62,5 +68,8 @@ def decode(content: bytes) -> Stored:
         bits = np.frombuffer(zlib.decompress(payload), np.uint8)
         array = np.unpackbits(bits, count=height * width).view(np.bool_).reshape(height, width)
     else:
-        array = np.frombuffer(payload, "<f4").reshape(height, width).astype(np.float32)
+        maps = np.frombuffer(payload, "<f4").reshape(-1, height, width).astype(np.float32)
+        if header.get("confidence"):
+            return Stored(maps[0], header["seconds"], header["source"], maps[1])
+        array = maps[0]
     return Stored(array, header["seconds"], header["source"])

@@ -58,9 +58,9 @@ class Identity:
         return digest.hexdigest()
 
     def of_image(self, image: Image, depth: DepthMap, camera: StereoCamera) -> str:
-        """Key of an image's sky mask, from every pixel of image and depth: hexadecimal."""
+        """Key of an image's sky mask, from every pixel of image, depth and confidence: hexadecimal."""
         digest = self._begun(camera)
-        _feed(digest, image, depth.depth)
+        _feed(digest, image, depth.depth, depth.confidence)
         return digest.hexdigest()
 
     def _begun(self, camera: StereoCamera) -> hashlib._Hash:

@@ -69,10 +69,10 @@ class CachedDepthSource(DepthSource):
         def compute() -> Stored:
             start = time.perf_counter()
             answer = self._source.depth(frame, position, camera)
-            return Stored(answer.depth, time.perf_counter() - start, answer.source)
+            return Stored(answer.depth, time.perf_counter() - start, answer.source, answer.confidence)
 
         stored, self.last_cost = self._shelf.answer(self._identity.of_frame(frame, camera), compute)
-        return DepthMap(stored.array, stored.source)
+        return DepthMap(stored.array, stored.source, stored.confidence)
 
 
 class CachedSkySegmenter(SkySegmenter):

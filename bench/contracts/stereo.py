@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +36,14 @@ class DepthSource(ABC):
         """Depth of ``frame.left`` in metres, NaN where unknown. ``position`` is the frame's place in the data set."""
 
 
+class Matched(NamedTuple):
+    """Disparity of the left image in pixels, (H, W) float32, NaN where unknown, and the confidence in it, (H, W)
+    float32 from 0 to 1, or None."""
+
+    disparity: Map
+    confidence: Map | None = None
+
+
 class StereoBackbone(DepthSource):
     """A network or matcher that turns a rectified pair into disparity. An author writes ``disparity`` alone."""
 
@@ -46,13 +55,17 @@ class StereoBackbone(DepthSource):
     def disparity(self, left: Image, right: Image) -> Map:
         """Disparity of the left image in pixels, (H, W) float32, positive, NaN where unknown."""
 
+    def matched(self, left: Image, right: Image) -> Matched:
+        """``disparity`` with the confidence in it; one that has a confidence writes this one too."""
+        return Matched(self.disparity(left, right))
+
     def depth(self, frame: StereoFrame, position: int, camera: StereoCamera) -> DepthMap:
         """Depth by triangulation, f b / d (paper, Sec. "Deep Stereo Depth Estimation").
 
         Unknown (NaN) where the disparity is not a positive finite number. A frame whose disparity is unknown everywhere
         is a frame without depth; one that has disparities, but none above zero, is an error (``BenchError``).
         """
-        disparity = self.disparity(*frame.pair(f"stereo backbone {type(self).__name__}", _INSTEAD))
+        disparity, confidence = self.matched(*frame.pair(f"stereo backbone {type(self).__name__}", _INSTEAD))
         try:
             check_disparity(disparity, frame.left.shape[:2], f"{type(self).__name__}.disparity")
             check_sign(disparity, f"{type(self).__name__}.disparity")
@@ -62,7 +75,7 @@ class StereoBackbone(DepthSource):
             depth = np.float32(camera.fx * camera.baseline) / disparity
         # Also drops an infinite disparity, whose depth would be zero.
         depth[~((depth > 0) & np.isfinite(depth))] = np.nan
-        return DepthMap(depth, type(self).__name__)
+        return DepthMap(depth, type(self).__name__, confidence)
 
 
 def check_disparity(disparity: Map, shape: tuple[int, ...], what: str) -> None:

@@ -5,18 +5,24 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from bench.contracts.stereo import Matched
 from bench.stereo.resizing import Matcher
-from bench.types import Image, Map, Mask
+from bench.types import Image, Map
 
 
-def left_right_checked(matcher: Matcher, left: Image, right: Image, max_px: float) -> Map:
+def left_right_checked(matcher: Matcher, left: Image, right: Image, max_px: float) -> Matched:
     """Disparity (H, W), NaN where the right image's differs by more than ``max_px``: occlusions and wrong matches.
 
-    Costs a second match: the right image's disparities are those of the mirrored pair with its sides exchanged.
+    The confidence is exp(-difference / max_px), 1 where both agree and 0 where the disparity was dropped, times the
+    matcher's own if it has one. Costs a second match: the right image's disparities are those of the mirrored pair with
+    its sides exchanged.
     """
-    disparity = matcher(left, right)
-    of_right = matcher(mirrored(right), mirrored(left))[:, ::-1]
-    return np.where(consistent(disparity, of_right, max_px), disparity, np.float32(np.nan))
+    disparity, own = matcher(left, right)
+    of_right = matcher(mirrored(right), mirrored(left)).disparity[:, ::-1]
+    off = disagreement(disparity, of_right)
+    kept = off <= max_px
+    confidence = np.where(kept, np.exp(-off / np.float32(max_px)), np.float32(0))
+    return Matched(np.where(kept, disparity, np.float32(np.nan)), confidence if own is None else confidence * own)
 
 
 def mirrored(image: Image) -> Image:
@@ -24,10 +30,10 @@ def mirrored(image: Image) -> Image:
     return np.ascontiguousarray(image[:, ::-1])
 
 
-def consistent(left: Map, right: Map, max_px: float) -> Mask:
-    """Where the right image's disparity, at the pixel the left one points to, differs by ``max_px`` px or less.
+def disagreement(left: Map, right: Map) -> Map:
+    """By how many pixels (H, W) the right image's disparity, at the pixel that the left one points to, differs.
 
-    False where either is unknown, or the left disparity points outside the image.
+    NaN where either is unknown, or the left disparity points outside the image.
     """
     height, width = left.shape
     columns = np.arange(width, dtype=np.float32) - left
@@ -41,4 +47,4 @@ def consistent(left: Map, right: Map, max_px: float) -> Mask:
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=np.nan,
     )
-    return np.asarray(np.abs(there - left) <= max_px)
+    return np.asarray(np.abs(there - left))

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.contracts.stereo import StereoBackbone, check_disparity, check_sign
+from bench.contracts.stereo import Matched, StereoBackbone, check_disparity, check_sign
 from bench.errors import BenchError
 from bench.registry import PluginConfig
 from bench.stereo.left_right import left_right_checked
 from bench.stereo.resizing import at_scale
 from bench.stereo.tiling import tiled
-from bench.types import Image, Map
+from bench.types import Image, Map, check_confidence
 from bench.weights import resolve
 
 
@@ -70,15 +70,21 @@ class StereoNetwork(StereoBackbone):
         return {} if self.weights_path is None else {"network": self.weights_path}
 
     @abstractmethod
-    def match(self, left: Image, right: Image) -> Map:
-        """Disparity (H, W) float32 of the left image, in pixels of the images given here, NaN where unknown.
+    def match(self, left: Image, right: Image) -> Map | Matched:
+        """Disparity (H, W) float32 of the left image, in pixels of the images given here, NaN where unknown; from a
+        network that knows how sure it is, ``Matched(disparity, confidence)``.
 
         The images are what is left to do after scaling and tiling: (H, W, 3) uint8 RGB of any size.
         """
 
     def disparity(self, left: Image, right: Image) -> Map:
+        """The disparity of ``matched``."""
+        return self.matched(left, right).disparity
+
+    def matched(self, left: Image, right: Image) -> Matched:
         """Disparity in pixels of the given images, (H, W) float32, NaN where the network has no positive number, or
-        where the left-right check fails. Raises ``BenchError`` for what no network should return."""
+        where the left-right check fails, and the confidence of either. Raises ``BenchError`` for what no network should
+        return."""
         if left.shape != right.shape:
             raise BenchError(
                 f"{type(self).__name__}: the left image is {left.shape}, the right one {right.shape}; a rectified pair "
@@ -92,13 +98,13 @@ class StereoNetwork(StereoBackbone):
             return matcher(left, right)
         return at_scale(matcher, left, right, settings.scale)
 
-    def _match_all(self, left: Image, right: Image) -> Map:
+    def _match_all(self, left: Image, right: Image) -> Matched:
         """``match`` on the pair or its strips, with the checks of what came out."""
         matcher = self._match_checked
         if self._settings.tile_rows:
             rows, overlap = self._settings.tile_rows, self._settings.tile_overlap
             matcher = partial(tiled, matcher, rows=rows, overlap=overlap)
-        disparity = matcher(left, right)
+        disparity, confidence = matcher(left, right)
         check_sign(disparity, f"{type(self).__name__}.match")
         known = (disparity > 0) & np.isfinite(disparity)
         if not known.any():
@@ -107,12 +113,15 @@ class StereoNetwork(StereoBackbone):
                 f"{type(self).__name__} returned no number at all, only NaN: it overflows in dtype="
                 f"{self._settings.dtype} (try stereo.dtype=float32){weights}."
             )
-        return np.where(known, disparity, np.float32(np.nan))
+        return Matched(np.where(known, disparity, np.float32(np.nan)), confidence)
 
-    def _match_checked(self, left: Image, right: Image) -> Map:
-        disparity = self.match(left, right)
-        check_disparity(disparity, left.shape[:2], f"{type(self).__name__}.match")
-        return disparity
+    def _match_checked(self, left: Image, right: Image) -> Matched:
+        answer, what = self.match(left, right), f"{type(self).__name__}.match"
+        matched = answer if isinstance(answer, Matched) else Matched(answer)
+        check_disparity(matched.disparity, left.shape[:2], what)
+        if matched.confidence is not None:
+            check_confidence(matched.confidence, left.shape[:2], what)
+        return matched
 
 
 def _weights_path(setting: str, published: str) -> Path | None:

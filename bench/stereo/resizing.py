@@ -7,20 +7,29 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from bench.contracts.stereo import Matched
 from bench.types import Image, Map
 
-Matcher = Callable[[Image, Image], Map]
+Matcher = Callable[[Image, Image], Matched]
 """A rectified pair (H, W, 3) to the left image's disparity (H, W) in pixels of the images that it is given."""
 
 
-def at_scale(matcher: Matcher, left: Image, right: Image, scale: float) -> Map:
+def at_scale(matcher: Matcher, left: Image, right: Image, scale: float) -> Matched:
     """Disparity (H, W) in pixels of the given pair, from a matcher that sees the pair ``scale`` times as large.
 
     Both sides are rounded to whole pixels, and the disparity is multiplied by the exact ratio of the widths.
     """
     height, width = left.shape[:2]
     fed = (max(1, round(height * scale)), max(1, round(width * scale)))
-    return resize_disparity(matcher(resize_image(left, fed), resize_image(right, fed)), (height, width))
+    disparity, confidence = matcher(resize_image(left, fed), resize_image(right, fed))
+    return resize_matched(disparity, confidence, (height, width))
+
+
+def resize_matched(disparity: Map, confidence: Map | None, shape: tuple[int, int]) -> Matched:
+    """Both at ``shape`` = (height, width): the disparity as by ``resize_disparity``, the confidence bilinear."""
+    if confidence is not None:
+        confidence = np.clip(_bilinear(confidence, shape), np.float32(0), np.float32(1))
+    return Matched(resize_disparity(disparity, shape), confidence)
 
 
 def resize_image(image: Image, shape: tuple[int, int]) -> Image:

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from bench.contracts.stereo import Matched
 from bench.errors import BenchError, require_choice
 from bench.registry import register
 from bench.stereo.network import NetworkConfig, StereoNetwork
 from bench.stereo.onnx_graph import CHOICES, PRESETS, StereoGraph
 from bench.stereo.onnx_session import ELEMENT_TYPES, describe, find_tensor, open_session, run_session
 from bench.stereo.padding import Window, next_multiple, pad_to
-from bench.stereo.resizing import resize_disparity, resize_image
-from bench.types import Image, Map
+from bench.stereo.resizing import resize_image, resize_matched
+from bench.types import Image
 
 # Gain and offset of 8-bit colours, for each of the three channels.
 _MEAN, _STD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
@@ -59,6 +60,8 @@ class OnnxConfig(NetworkConfig):
     unit: str | None = None
     """A disparity of 1 in the output is one pixel of the fed image (px) or its whole width (width)."""
     gain: float | None = None
+    confidence: str = ""
+    """Output that says how sure the network is, 0 to 1 for each pixel, by name or position; empty: it has none."""
     """Factor of the output, -1 for networks that give the (negative) flow."""
     threads: int = 0
     """CPU threads; 0: as many as torch has been given."""
@@ -106,7 +109,8 @@ class OnnxStereo(StereoNetwork):
         inputs = self._session.get_inputs()
         names = [("left", graph.left)] if graph.stacked else [("left", graph.left), ("right", graph.right)]
         self._inputs = [find_tensor(inputs, name, setting, self._path) for setting, name in names]
-        self._output = find_tensor(self._session.get_outputs(), graph.output, "output", self._path)
+        asked = [("output", graph.output)] + [("confidence", config.confidence)] * bool(config.confidence)
+        self._outputs = [find_tensor(self._session.get_outputs(), name, key, self._path) for key, name in asked]
         fed = {tensor.name for tensor in self._inputs}
         if fed != {tensor.name for tensor in inputs} or len(fed) < len(names):
             raise BenchError(
@@ -125,7 +129,7 @@ class OnnxStereo(StereoNetwork):
             return "onnxruntime is not installed; run `pip install onnxruntime`."
         return None
 
-    def match(self, left: Image, right: Image) -> Map:
+    def match(self, left: Image, right: Image) -> Matched:
         """One pass of the graph over a pair; raises ``BenchError`` where it refuses it or gives another shape."""
         pair, shape, window = self._fitted(left, right)
         values = [self._as_input(image) for image in pair]
@@ -136,18 +140,25 @@ class OnnxStereo(StereoNetwork):
             tensor.name: value.astype(ELEMENT_TYPES[tensor.type], copy=False)
             for tensor, value in zip(self._inputs, values, strict=True)
         }
-        (output,) = run_session(self._session, [self._output.name], feed, self._path)
-        if output.size != shape[0] * shape[1]:
-            raise BenchError(
-                f"{self._path}: {describe(self._output)} has the shape {output.shape} for images of {shape[0]} x "
-                f"{shape[1]}; expected one disparity a pixel. Choose another stereo.output, if there is one."
-            )
+        maps = []
+        outputs = run_session(self._session, [tensor.name for tensor in self._outputs], feed, self._path)
+        for tensor, output in zip(self._outputs, outputs, strict=True):
+            if output.size != shape[0] * shape[1]:
+                raise BenchError(
+                    f"{self._path}: {describe(tensor)} has the shape {output.shape} for images of {shape[0]} x "
+                    f"{shape[1]}; expected one number per pixel. Choose another stereo.output or stereo.confidence, if "
+                    "there is one."
+                )
+            maps.append(output.reshape(shape).astype(np.float32))
         # A gain in pixels of the fed image, whose width is shape[1].
         gain = self._graph.gain * (shape[1] if self._graph.unit == "width" else 1)
-        disparity = output.reshape(shape).astype(np.float32) * np.float32(gain)
-        if window is not None:
-            return np.ascontiguousarray(disparity[window])
-        return resize_disparity(disparity, (left.shape[0], left.shape[1]))
+        disparity, confidence = maps[0] * np.float32(gain), maps[1] if len(maps) > 1 else None
+        if window is None:
+            return resize_matched(disparity, confidence, (left.shape[0], left.shape[1]))
+        return Matched(
+            np.ascontiguousarray(disparity[window]),
+            None if confidence is None else np.ascontiguousarray(confidence[window]),
+        )
 
     def _fitted(self, left: Image, right: Image) -> tuple[list[Image], tuple[int, int], Window | None]:
         """The pair at a size that the graph takes, that size, and the image's place in it (None: it was resized)."""

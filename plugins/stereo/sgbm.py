@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from bench.contracts.stereo import StereoBackbone
+from bench.contracts.stereo import Matched, StereoBackbone
 from bench.errors import BenchError, require_choice
 from bench.io.images import grey
 from bench.registry import PluginConfig, register
@@ -95,17 +95,21 @@ class Sgbm(StereoBackbone):
 
     def disparity(self, left: Image, right: Image) -> Map:
         """Disparity of the left image in pixels, (H, W) float32, NaN where unmatched or inconsistent."""
+        return self.matched(left, right).disparity
+
+    def matched(self, left: Image, right: Image) -> Matched:
+        """The disparity, and with ``full_check`` the confidence of the left-right check."""
         if not self._config.color:
             left, right = grey(left), grey(right)
         if self._config.full_check:
             return left_right_checked(self._match, left, right, self._config.lr_max_diff)
         return self._match(left, right)
 
-    def _match(self, left: Image, right: Image) -> Map:
+    def _match(self, left: Image, right: Image) -> Matched:
         # OpenCV leaves the first num_disparities columns unknown; the padding takes their place.
         n = self._config.num_disparities
         padded = (cv2.copyMakeBorder(image, 0, 0, n, 0, cv2.BORDER_REPLICATE) for image in (left, right))
         fixed = self._matcher.compute(*padded)[:, n:]
         disparity = fixed.astype(np.float32) / _FRACTIONS
         disparity[fixed <= 0] = np.nan
-        return disparity
+        return Matched(disparity)

@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 
 import bench
 from bench import registry
+from bench.contracts.stereo import Matched
 from bench.errors import BenchError, require_choice
 from bench.peers.messages import Array, Message
 from bench.peers.process import PeerFailure, PeerProcess
@@ -101,7 +102,7 @@ class UpstreamNetwork(StereoNetwork):
             files["arguments"] = self.weights_path.with_name(self.recipe.arguments_file)
         return files
 
-    def match(self, left: Image, right: Image) -> Map:
+    def match(self, left: Image, right: Image) -> Map | Matched:
         """Disparity (H, W) float32 in pixels of these images, as the authors' code gives it."""
         if self._exported is not None:
             return self._exported.match(left, right)
