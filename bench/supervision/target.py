@@ -19,13 +19,15 @@ class Target:
     """Supervision of one view at one resolution, as tensors on the rasterizer's device.
 
     ``image`` (3, H, W) RGB in [0, 1]; ``depth`` (H, W) metres, 0 where it does not supervise; ``depth_mask`` (H, W)
-    bool, the paper's M: stereo depth known, within the depth range, not sky.
+    bool, the paper's M: stereo depth known, within the depth range, not sky; ``confidence`` (H, W) in the depth, from 0
+    to 1, or None from a stereo plugin that has none.
     """
 
     image: Tensor
     depth: Tensor
     depth_mask: Tensor
     view: PinholeView
+    confidence: Tensor | None = None
 
     @cached_property
     def edge_weight(self) -> Tensor:
@@ -35,6 +37,12 @@ class Target:
         dx[:, 1:-1] = (grey[:, 2:] - grey[:, :-2]) / 2
         dy[1:-1] = (grey[2:] - grey[:-2]) / 2
         return torch.exp(-torch.sqrt(dx * dx + dy * dy))
+
+    @cached_property
+    def confident_edge_weight(self) -> Tensor:
+        """``edge_weight`` times ``confidence``, (H, W)."""
+        assert self.confidence is not None
+        return self.edge_weight * self.confidence
 
     @cached_property
     def normals(self) -> tuple[Tensor, Tensor]:
@@ -52,7 +60,8 @@ class Target:
         h, w = view.height, view.width
         image = torch.nn.functional.avg_pool2d(self.image[None], 2)[0].contiguous()
         pick = (slice(0, 2 * h, 2), slice(0, 2 * w, 2))
-        return Target(image, self.depth[pick].contiguous(), self.depth_mask[pick].contiguous(), view)
+        confidence = None if self.confidence is None else self.confidence[pick].contiguous()
+        return Target(image, self.depth[pick].contiguous(), self.depth_mask[pick].contiguous(), view, confidence)
 
 
 def target_of(
@@ -69,4 +78,5 @@ def target_of(
         torch.from_numpy(np.where(mask, depth, 0.0).astype(np.float32)).to(device),
         torch.from_numpy(mask).to(device),
         view,
+        None if keyframe.depth.confidence is None else torch.from_numpy(keyframe.depth.confidence).to(device),
     )

@@ -24,6 +24,8 @@ class GeoConfig(LossConfig):
     """2 takes a quarter of the pixels on a regular grid (the paper's S), 1 takes all ("with ds")."""
     edge_weighted: bool = True
     """Multiply by g = exp(-|grad I|)."""
+    confidence_weighted: bool = False
+    """Multiply by the stereo plugin's confidence in its depth, too."""
     rendered_depth: str = "raw"
     """raw = sum d a T as in the paper's Eq. 3, normalized = divided by alpha."""
 
@@ -47,13 +49,24 @@ class GeoLoss(CoreLoss):
             rendered.alpha if normalized else None,
             target.depth,
             target.depth_mask,
-            target.edge_weight if self.config.edge_weighted else None,
+            self._weight(target),
             self.config.stride,
             weight,
             sums.depth,
             sums.alpha if normalized else None,
             add,
         )
+
+    def _weight(self, target: Target) -> Tensor | None:
+        """What multiplies each pixel's term, (H, W); None = 1. ``BenchError`` where the confidence is missing."""
+        if not self.config.confidence_weighted:
+            return target.edge_weight if self.config.edge_weighted else None
+        if target.confidence is None:
+            raise BenchError(
+                "loss.geo.confidence_weighted=true: the stereo plugin gives no confidence. Use one that does, such as "
+                "stereo=sgbm stereo.full_check=true or a network with stereo.left_right_check_px=1."
+            )
+        return target.confident_edge_weight if self.config.edge_weighted else target.confidence
 
     def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
         grid = (slice(None, None, self.config.stride),) * 2
@@ -62,5 +75,6 @@ class GeoLoss(CoreLoss):
         if self.config.rendered_depth == "normalized":
             shown = shown / alpha[grid].clamp_min(1e-6)
         distance = ((shown - target.depth[grid]) * mask).abs()
-        weight = target.edge_weight[grid] if self.config.edge_weighted else 1.0
+        of_pixel = self._weight(target)
+        weight = 1.0 if of_pixel is None else of_pixel[grid]
         return (weight * torch.log1p(distance)).sum() / mask.numel()

@@ -22,6 +22,7 @@ from bench.evaluation.run_evaluators import evaluate_run
 from bench.registry import build
 from bench.slam.system import run_system
 from plugins.datasets.street import Street, StreetConfig
+from plugins.stereo.sgbm import SgbmConfig
 
 TINY = ("dataset.frames=4", "dataset.width=96", "dataset.height=48", "mapper.iterations=2", "protocol.lpips=false")
 DELAY_S = 0.15
@@ -202,3 +203,22 @@ def test_processes_that_start_at_once_compute_once(tmp_path: Path) -> None:
     assert [process.returncode for process in processes] == [0, 0]
     assert calls(tmp_path / "log") == 2  # one for each frame
     assert len(answers) == 1
+
+
+def test_a_confidence_is_cached_with_its_depth(tmp_path: Path) -> None:
+    """Semi-global matching with the full left-right check: the first answer, the cached one and one without a cache."""
+    dataset = Street(StreetConfig("street", frames=1, width=160, height=64))
+    config = SgbmConfig("sgbm", full_check=True, num_disparities=32)
+    cache = CacheConfig(all=True, folder=str(tmp_path / "cache"))
+    sources = [cached_depth_source(build(config, "stereo"), config, dataset, cache) for _ in range(2)]
+    answers = [each.depth(dataset.frame(0), 0, dataset.camera) for each in (*sources, build(config, "stereo"))]
+    assert cost_of(sources[1], 0.0).cached
+    confidence = answers[2].confidence
+    assert confidence is not None
+    assert 0 < np.mean(confidence > 0.5) < 1
+    for answer in answers[:2]:
+        np.testing.assert_array_equal(answer.depth, answers[2].depth)
+        np.testing.assert_array_equal(answer.confidence, confidence)
+    # Unknown depth: no confidence; known depth: exp(-1) at the tolerance of one pixel, or more.
+    assert (confidence[np.isnan(answers[2].depth)] == 0).all()
+    assert confidence[np.isfinite(answers[2].depth)].min() >= np.float32(np.exp(-1.0)) - 1e-6

@@ -24,6 +24,16 @@ def test_every_bit_of_a_depth_map_comes_back() -> None:
     assert np.array_equal(decode(encode(Stored(turned, 0.0, ""))).array.view(np.uint32), bits)
 
 
+def test_a_confidence_comes_back_with_its_depth() -> None:
+    rng = np.random.default_rng(2)
+    depth, confidence = (rng.random((5, 7)).astype(np.float32) for _ in range(2))
+    back = decode(encode(Stored(depth, 0.5, "net", confidence[:, ::-1])))
+    assert np.array_equal(back.array, depth)
+    assert back.confidence is not None
+    assert np.array_equal(back.confidence, confidence[:, ::-1])
+    assert decode(encode(Stored(depth, 0.5, "net"))).confidence is None
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (7, 9), (16, 16)])
 def test_every_pixel_of_a_mask_comes_back(shape: tuple[int, int]) -> None:
     mask = np.random.default_rng(1).random(shape) < 0.5

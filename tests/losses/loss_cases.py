@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -16,7 +18,8 @@ def view_of(height: int, width: int, focal: float = 20.0) -> PinholeView:
 
 
 def random_case(height: int, width: int, seed: int) -> tuple[Rendered, Target]:
-    """Images of noise, rendered and stereo depth between 3 and 8 m, a mask with holes, alpha 0.05 to 1; float32."""
+    """Images of noise, rendered and stereo depth between 3 and 8 m, a mask with holes, alpha 0.05 to 1, any
+    confidence; float32."""
     rng = np.random.default_rng(seed)
 
     def tensor(low: float, high: float, *shape: int) -> torch.Tensor:
@@ -28,7 +31,7 @@ def random_case(height: int, width: int, seed: int) -> tuple[Rendered, Target]:
     rendered = Rendered(
         tensor(-0.1, 1.2, 3, height, width), tensor(3, 8, height, width), tensor(0.05, 1, height, width)
     )
-    return rendered, target
+    return rendered, replace(target, confidence=tensor(0, 1, height, width))
 
 
 def flat_target(depth: torch.Tensor, view: PinholeView, mask: torch.Tensor | None = None) -> Target:
@@ -42,5 +45,11 @@ def in_double(rendered: Rendered, target: Target) -> tuple[Rendered, Target]:
     """The same case in float64, where the terms run in torch: the oracle of the C++ core."""
     return (
         Rendered(rendered.color.double(), rendered.depth.double(), rendered.alpha.double()),
-        Target(target.image.double(), target.depth.double(), target.depth_mask, target.view),
+        Target(
+            target.image.double(),
+            target.depth.double(),
+            target.depth_mask,
+            target.view,
+            None if target.confidence is None else target.confidence.double(),
+        ),
     )

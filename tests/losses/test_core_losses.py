@@ -27,6 +27,8 @@ TERMS: dict[str, Callable[[], LossTerm]] = {
     "geo": lambda: GeoLoss(GeoConfig("geo")),
     "geo dense, plain": lambda: GeoLoss(GeoConfig("geo", stride=1, edge_weighted=False)),
     "geo normalized, stride 3": lambda: GeoLoss(GeoConfig("geo", stride=3, rendered_depth="normalized")),
+    "geo confident": lambda: GeoLoss(GeoConfig("geo", confidence_weighted=True)),
+    "geo confident, plain": lambda: GeoLoss(GeoConfig("geo", stride=3, edge_weighted=False, confidence_weighted=True)),
     "geo stride 19": lambda: GeoLoss(GeoConfig("geo", stride=19)),
     "normal": lambda: NormalLoss(NormalConfig("normal")),
     "smooth 1": lambda: SmoothLoss(SmoothConfig("smooth", distances=(1,))),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,6 +81,22 @@ def test_geo_edge_weight_by_hand() -> None:
     plain = GeoLoss(GeoConfig("geo", stride=1, edge_weighted=False)).evaluate(rendered, target).value
     assert weighted == pytest.approx(np.log(2) * (6 + 3 * np.exp(-0.5)) / 9, rel=1e-6)
     assert plain == pytest.approx(np.log(2), rel=1e-6)
+
+
+def test_geo_confidence_by_hand() -> None:
+    """The terms of the raw case, log 2, 0, (masked) and log 3, times confidences 1, 0.3, 0.2 and 0.5."""
+    rendered, target = two_by_two()
+    confident = GeoLoss(GeoConfig("geo", stride=1, confidence_weighted=True))
+    with pytest.raises(BenchError, match="the stereo plugin gives no confidence"):
+        confident.evaluate(rendered, target)
+    target = replace(target, confidence=torch.tensor([[1.0, 0.3], [0.2, 0.5]]))
+    value = confident.evaluate(rendered, target)
+    assert value.value == pytest.approx((np.log(2) + 0.5 * np.log(3)) / 4, rel=1e-6)
+    torch.testing.assert_close(value.grad_depth, torch.tensor([[1 / 8, 0.0], [0.0, -1 / 24]]))
+    _, noise = random_case(5, 6, seed=1)
+    torch.testing.assert_close(noise.confident_edge_weight, noise.edge_weight * noise.confidence)
+    assert noise.halved().confidence is not None
+    torch.testing.assert_close(noise.halved().confidence, noise.confidence[0:4:2, 0:6:2])
 
 
 def test_edge_weight_of_a_diagonal_ramp() -> None:
@@ -199,6 +216,7 @@ def test_smooth_with_several_distances_adds_them() -> None:
 TERMS: dict[str, Callable[[], LossTerm]] = {
     "geo raw": lambda: GeoLoss(GeoConfig("geo")),
     "geo dense": lambda: GeoLoss(GeoConfig("geo", stride=1, edge_weighted=False)),
+    "geo confident": lambda: GeoLoss(GeoConfig("geo", confidence_weighted=True)),
     "geo normalized": lambda: GeoLoss(GeoConfig("geo", rendered_depth="normalized")),
     "normal": lambda: NormalLoss(NormalConfig("normal")),
     "smooth": lambda: SmoothLoss(SmoothConfig("smooth", distances=(1, 2))),

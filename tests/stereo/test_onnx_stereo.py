@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from stereo_pairs import end_point_error, kitti_2015_sample, shifted_pair
-from tiny_onnx import block_matcher, channel_reader
+from tiny_onnx import block_matcher, channel_reader, sure_reader
 
 from bench.errors import BenchError
 from plugins.stereo.onnx import OnnxConfig, OnnxStereo
@@ -66,6 +66,19 @@ def test_colours_reach_the_network_as_told(colours: str, red: float, blue: float
     for channel, value in ((0, red), (2, blue)):
         network = opened(channel_reader(tmp_path / f"{channel}.onnx", channel), colours=colours)
         np.testing.assert_allclose(network.disparity(image, image), 10 + value, atol=1e-4)
+
+
+def test_a_second_output_says_how_sure_the_network_is(tmp_path: Path) -> None:
+    image = np.tile(np.array([200, 51, 0], np.uint8), (20, 50, 1))
+    file = sure_reader(tmp_path / "net.onnx")
+    disparity, confidence = opened(file, confidence="sure").matched(image, image)
+    assert (disparity == 210).all()
+    assert confidence is not None
+    assert confidence.shape == (20, 50)
+    np.testing.assert_allclose(confidence, 0.2, rtol=1e-6)
+    assert opened(file).matched(image, image).confidence is None
+    with pytest.raises(BenchError, match=r"stereo\.confidence=shure: .*Did you mean 'sure'"):
+        opened(file, confidence="shure")
 
 
 def test_two_runs_are_equal_to_the_bit(tmp_path: Path) -> None:

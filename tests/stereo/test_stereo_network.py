@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from stereo_pairs import block_match, card_before_wall, shifted_pair
 
+from bench.contracts.stereo import Matched
 from bench.errors import BenchError
 from bench.stereo.network import NetworkConfig, StereoNetwork
 from bench.stereo.padding import next_multiple, pad_to
 from bench.stereo.resizing import resize_disparity
-from bench.types import Image, Map
+from bench.types import DepthMap, Image, Map, StereoCamera, StereoFrame
 
 
 class Blocks(StereoNetwork):
@@ -91,6 +92,69 @@ def test_left_right_check_is_in_pixels_of_the_full_image() -> None:
     ]
     assert known[0] == 0
     assert known[1] > 0.8
+
+
+class Sure(StereoNetwork):
+    """12 px everywhere, 13 in the second match of a pair; as sure as the image's green is bright."""
+
+    calls = 0
+
+    def match(self, left: Image, right: Image) -> Matched:
+        self.calls += 1
+        confidence = left[..., 1].astype(np.float32) / np.float32(255)
+        return Matched(np.full(left.shape[:2], 13.0 - self.calls % 2, np.float32), confidence)
+
+
+@pytest.mark.parametrize(
+    ("settings", "factor"),
+    [
+        ({}, 1.0),
+        ({"tile_rows": 7, "tile_overlap": 2}, 1.0),
+        # Off by 1 px of 2; with half the size, by 1 fed pixel of 2 px / 2.
+        ({"left_right_check_px": 2.0}, np.exp(-1 / 2)),
+        ({"left_right_check_px": 2.0, "scale": 0.5}, np.exp(-1)),
+    ],
+)
+def test_confidence_is_the_networks_times_that_of_the_left_right_check(settings: dict[str, Any], factor: float) -> None:
+    green = np.tile(np.uint8([0, 204, 0]), (20, 80, 1))
+    network = Sure(NetworkConfig(**settings))
+    confidence = network.matched(green, green).confidence
+    assert confidence is not None
+    assert (confidence.shape, confidence.dtype) == ((20, 80), np.float32)
+    np.testing.assert_allclose(confidence[:, 30:], 0.8 * factor, rtol=1e-5)
+    frame, camera = StereoFrame(0, 0.0, green, green), StereoCamera(80, 20, 60.0, 60.0, 40.0, 10.0, (0.5, 0, 0))
+    assert Sure(NetworkConfig(**settings)).depth(frame, 0, camera).confidence is not None
+    if "left_right_check_px" in settings:
+        assert (confidence[:, :12] == 0).all(), "the right camera does not see it"
+
+
+def test_strips_keep_each_pixels_confidence() -> None:
+    green = np.zeros((33, 9, 3), np.uint8)
+    green[..., 1] = np.arange(33 * 9).reshape(33, 9) % 256
+    whole, strips = (Sure(NetworkConfig(tile_rows=rows)).matched(green, green).confidence for rows in (0, 10))
+    assert whole is not None
+    np.testing.assert_array_equal(whole, strips)
+
+
+@pytest.mark.parametrize(
+    ("confidence", "text"),
+    [
+        (
+            np.zeros((20, 79), np.float32),
+            r"Given\.match gave a confidence that is float32 \(20, 79\); expected",
+        ),
+        (np.zeros((20, 80)), r"that is float64 \(20, 80\)"),
+        (np.full((20, 80), 1.01, np.float32), r"reaches from 1\.01 to 1\.01"),
+        (np.full((20, 80), np.nan, np.float32), r"reaches from nan"),
+        (0.5, "that is float; expected"),
+    ],
+)
+def test_a_wrong_confidence_names_the_network(confidence: Any, text: str) -> None:
+    disparity = np.full((20, 80), 3, np.float32)
+    with pytest.raises(BenchError, match=text):
+        Given(Matched(disparity, confidence)).disparity(*shifted_pair(20, 80, 3))
+    with pytest.raises(BenchError, match=text.replace(r"Given\.match", "MyDepth")):
+        DepthMap(disparity, "MyDepth", confidence)
 
 
 @pytest.mark.parametrize("rows", [20, 33, 64])

@@ -130,6 +130,18 @@ def channel_reader(path: Path, channel: int) -> Path:
     return graph.save(path, {"left": side, "right": side}, {"disp": (1, 1, "h", "w")})
 
 
+def sure_reader(path: Path) -> Path:
+    """``channel_reader`` of red, with a second output "sure": green / 255."""
+    graph = Graph()
+    unused = graph.node("Mul", _sliced(graph, "right", 1, 0, 1), graph.constant(0.0, np.float32))
+    red = graph.node("Add", _sliced(graph, "left", 1, 0, 1), unused)
+    graph.node("Add", red, graph.constant(10.0, np.float32), name="disp")
+    graph.node("Mul", _sliced(graph, "left", 1, 1, 2), graph.constant(1 / 255, np.float32), name="sure")
+    side: Shape = (1, 3, "h", "w")
+    outputs: dict[str, Shape] = {"disp": (1, 1, "h", "w"), "sure": (1, 1, "h", "w")}
+    return graph.save(path, {"left": side, "right": side}, outputs)
+
+
 def _sliced(graph: Graph, name: str, axis: int, start: int, stop: int) -> str:
     bounds = [graph.constant([value], np.int64) for value in (start, stop, axis)]
     return graph.node("Slice", name, *bounds)
