@@ -26,6 +26,7 @@ def expand_experiment(overrides: Sequence[str]) -> list[tuple[Cell, list[str]]]:
     if len(names) > 1:
         raise BenchError(f"{' '.join(EXPERIMENT + name for name in names)}: give one experiment at a time.")
     others = [each for each in overrides if not each.startswith(EXPERIMENT)]
-    files = table_files(plugin_folders(check_overrides(others)))
-    table = read_table(files[require_choice("experiment", names[0], files)])
+    folders = plugin_folders(check_overrides(others))
+    files = table_files(folders)
+    table = read_table(files[require_choice("experiment", names[0], files)], folders)
     return [(cell, cell.overrides_with(others)) for cell in cells(table) if not cell.blocked]

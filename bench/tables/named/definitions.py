@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from bench.tables.named.metrics import Metric
+from bench.contracts.metric import Metric
 from bench.tables.named.published import SequenceFacts
 
 

@@ -8,19 +8,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from bench.contracts.metric import Metric
+from bench.evaluation.metrics import declared_metrics
 from bench.runs.system_name import system_name
 from bench.tables.collect import Row
 from bench.tables.document.model import UNKNOWN, Cell, Column, Data
 from bench.tables.named.fill import Statistic, choose_runs, statistic
-from bench.tables.named.grid import MINUS, OURS, Grid, Line, heading
-from bench.tables.named.metrics import METRICS as KNOWN
-from bench.tables.named.metrics import Metric
+from bench.tables.named.grid import MINUS, OURS, Grid, Line, heading, in_digits
 from bench.tables.named.settings import scored_config, settings_of
 from bench.tables.records.made import made_in_words
 from bench.tables.records.record import RunRecord, is_number
 from bench.tables.render import footnotes
 
-METRICS = tuple(KNOWN[key] for key in ("psnr_db", "ssim", "lpips", "depth_l1_cm", "ate_rmse_m"))
+METRICS = ("psnr_db", "ssim", "lpips", "depth_l1_cm", "ate_rmse_m")
 CSV_COLUMNS = ("of", "by", "n_views", "metric", "unit", "value", "std", "n", "seeds", "difference", "runs")
 _LEGEND = (
     "Line ours: mean ± sample standard deviation over seeds (number of runs), by the runs' protocol, of {views}. Lines "
@@ -119,7 +119,7 @@ def dialect_grid(name: str, groups: Sequence[ScoredGroup]) -> Grid:
     """A block per group: ours, then one line per dialect with its difference to ours."""
     blocks = tuple(tuple(_line(group, by) for by in (OURS, *group.dialects)) for group in groups)
     title = "The same runs by the rules of other systems' evaluators"
-    columns = tuple(Column(heading(metric), align="right") for metric in METRICS)
+    columns = tuple(Column(heading(metric), align="right") for metric in _metrics())
     return Grid(name, title, columns, blocks, has_metric_column=False)
 
 
@@ -153,6 +153,11 @@ def dialect_notes(groups: Sequence[ScoredGroup], not_scored: int, views: str, pr
     return notes + [f"Not read: {problem}" for problem in problems]
 
 
+def _metrics() -> list[Metric]:
+    known = {metric.key: metric for metric in declared_metrics()}
+    return [known[key] for key in METRICS]
+
+
 def _in_words(stamp: Any) -> str:
     """A dialect's rules; checksums stay in ``metrics.json``."""
     rules = stamp.items() if isinstance(stamp, dict) else ()
@@ -164,7 +169,7 @@ def dialect_data(groups: Sequence[ScoredGroup]) -> Data:
     rows = []
     for group in groups:
         for by in (OURS, *group.dialects):
-            for metric in METRICS:
+            for metric in _metrics():
                 found = group.mean(by, metric)
                 row: dict[str, Any] = {"of": group.name, "by": by, "metric": metric.key, "unit": metric.unit}
                 row |= {} if by == OURS else {"n_views": group.views(by)}
@@ -176,15 +181,15 @@ def dialect_data(groups: Sequence[ScoredGroup]) -> Data:
 
 
 def _line(group: ScoredGroup, by: str) -> Line:
-    return Line(by, group.name, None, tuple(_cell(group, by, metric) for metric in METRICS))
+    return Line(by, group.name, None, tuple(_cell(group, by, metric) for metric in _metrics()))
 
 
 def _cell(group: ScoredGroup, by: str, metric: Metric) -> Cell:
     found, difference = group.mean(by, metric), group.difference(by, metric)
     if found is None:
         return Cell(UNKNOWN)
-    text = f"{found.mean:.{metric.decimals}f}"
-    text += "" if found.std is None else f" ± {found.std:.{metric.decimals}f}"
+    text = in_digits(found.mean, metric)
+    text += "" if found.std is None else f" ± {in_digits(found.std, metric)}"
     if difference is not None:
         # No minus before a difference that rounds to 0.
         rounded = round(difference, metric.decimals) or 0.0

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from bench.contracts.metric import Metric
 from bench.tables.named.definitions import NamedTable
 from bench.tables.named.foreign import with_foreign_rows
-from bench.tables.named.metrics import Metric
 from bench.tables.named.overrides import row_of
 from bench.tables.named.published import SequenceFacts
 from bench.tables.named.settings import (

@@ -48,4 +48,4 @@ def named_table(name: str, folders: Sequence[str] = ()) -> NamedTable:
             f"'evaluator=[...]'`, then `bgs-bench table {DIALECTS} RUN_FOLDER ...`."
         )
     files = table_files(folders)
-    return read_table(files[require_choice("table", name, files)])
+    return read_table(files[require_choice("table", name, files)], folders)

@@ -6,11 +6,11 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from bench.contracts.metric import Metric
 from bench.errors import require_choice
 from bench.tables.document.model import UNKNOWN, Cell, Column
 from bench.tables.named.definitions import MethodRow, NamedTable
 from bench.tables.named.fill import FilledTable, Statistic
-from bench.tables.named.metrics import Metric
 from bench.tables.named.published import AVERAGE, PublishedValue, read_published
 from bench.tables.static_camera import NAME as STATIC_CAMERA
 
@@ -51,9 +51,14 @@ class _Slot:
 
 
 def heading(metric: Metric) -> str:
-    """Title, unit and which way is better: ``ATE [m] ↓``."""
+    """Title, unit and, where it is known, which way is better: ``ATE [m] ↓``."""
     unit = f" [{metric.unit}]" if metric.unit else ""
-    return f"{metric.title}{unit} {'↓' if metric.better == 'lower' else '↑'}"
+    return metric.title + unit + {"lower": " ↓", "higher": " ↑", None: ""}[metric.better]
+
+
+def in_digits(value: float, metric: Metric) -> str:
+    """A value, or a spread, with as many decimals as the metric is shown with."""
+    return f"{value:,.0f}" if metric.decimals is None else f"{value:.{metric.decimals}f}"
 
 
 class PublishedNumbers:
@@ -182,8 +187,8 @@ def _published_cell(published: PublishedValue | None) -> Cell:
 def _statistic_cell(found: Statistic | None, metric: Metric, mark: str) -> Cell:
     if found is None:
         return Cell(UNKNOWN)
-    spread = "" if found.std is None else f" ± {found.std:.{metric.decimals}f}"
-    return Cell(f"{found.mean:.{metric.decimals}f}{spread}", found.n, mark, value=found.mean)
+    spread = "" if found.std is None else f" ± {in_digits(found.std, metric)}"
+    return Cell(f"{in_digits(found.mean, metric)}{spread}", found.n, mark, value=found.mean)
 
 
 def _signed(difference: float, decimals: int) -> str:
@@ -216,13 +221,13 @@ def _static_camera(filled: FilledTable) -> list[Line]:
             cells.append(Cell(WITHHELD if filled.facts[sequence].withheld else ""))
             continue
         _, error, is_part = max(known, key=lambda item: item[0])
-        cells.append(Cell(f"{error:.{metric.decimals}f}", mark=DAGGER if is_part else "", value=error))
+        cells.append(Cell(in_digits(error, metric), mark=DAGGER if is_part else "", value=error))
     values = [cell.value for cell in cells if cell.value is not None]
     average = Cell()
     if len(values) == len(cells):
         mean = sum(values) / len(values)
         mark = DAGGER if any(cell.mark for cell in cells) else ""
-        average = Cell(f"{mean:.{metric.decimals}f}", mark=mark, value=mean)
+        average = Cell(in_digits(mean, metric), mark=mark, value=mean)
     return [Line(COMPUTED, f"{STATIC_CAMERA}, frames of our runs", metric, (*cells, average))]
 
 
@@ -254,7 +259,8 @@ def _mark_best(blocks: Sequence[list[Line]], by: str, metrics: Sequence[Metric])
         for column, cell in enumerate(line.cells):
             metric = metric_of(line, column)
             rivals = values[metric.key, column]
-            best = (min if metric.better == "lower" else max)(rivals) if len(rivals) > 1 else None
+            has_best = metric.better is not None and len(rivals) > 1
+            best = (min if metric.better == "lower" else max)(rivals) if has_best else None
             cells.append(replace(cell, best=best is not None and looks(line, column) == best))
         return replace(line, cells=tuple(cells))
 

@@ -10,11 +10,13 @@ from typing import Any, Literal, cast
 
 import yaml  # type: ignore[import-untyped]  # comes with omegaconf
 
+from bench.contracts.metric import Metric
+from bench.discovery import load_plugins
 from bench.errors import BenchError, did_you_mean, require_choice
+from bench.evaluation.metrics import declared_metrics
 from bench.installed_data import published_folder
 from bench.registry import KINDS
 from bench.tables.named.definitions import MethodRow, NamedTable
-from bench.tables.named.metrics import METRICS, Metric
 from bench.tables.named.published import SEQUENCES_FILE, SequenceFacts, read_sequences
 
 _REQUIRED = ("title", "dataset", "sequences", "metrics")
@@ -36,8 +38,8 @@ _OF_A_METRIC = ("key", "title", "decimals", "better")
 _SETTINGS = (*(kind for kind in KINDS if kind != "dataset"), "system", "dataset", "limits", "pipeline", "cache")
 
 
-def read_table(file: Path) -> NamedTable:
-    """The table that a YAML file holds, called as the file is.
+def read_table(file: Path, folders: Sequence[str] = ()) -> NamedTable:
+    """The table that a YAML file holds, called as the file is; its metrics may be of evaluators in ``folders``.
 
     Raises ``BenchError``, with the file and the row, for a file that can't be read, an unknown key, a metric that no
     evaluator has, an override that is none, and a CSV file that is not there.
@@ -55,7 +57,7 @@ def read_table(file: Path) -> NamedTable:
         title=_text(where, content, "title"),
         dataset=dataset,
         sequences=sequences,
-        metrics=tuple(_metric(where, each) for each in _list(where, content, "metrics")),
+        metrics=tuple(_metric(where, each, folders) for each in _list(where, content, "metrics")),
         rows=_rows(file, content),
         across=cast(Literal["sequences", "metrics"], columns),
         about=_text(where, content, "about"),
@@ -119,17 +121,24 @@ def _sequences(where: str, value: Any) -> dict[str, tuple[str, ...]]:
     return {name: (f"dataset.sequence={name}",) for name in names}
 
 
-def _metric(where: str, value: Any) -> Metric:
+def _metric(where: str, value: Any, folders: Sequence[str]) -> Metric:
     """A metric by its key alone, or with what the table changes of it."""
     if isinstance(value, str):
         value = {"key": value}
     changed = dict(_mapping(f"{where}: a metric", value, ("key",), _OF_A_METRIC[1:]))
-    key = require_choice(f"{where}: the metric", str(changed.pop("key")), METRICS)
-    if "better" in changed:
-        require_choice(f"{where}: better of {key}", changed["better"], ("lower", "higher"))
+    key = str(changed.pop("key"))
+    known = {metric.key: metric for metric in declared_metrics()}
+    if key not in known:
+        # Only now, as importing every plugin takes seconds.
+        load_plugins(folders)
+        known = {metric.key: metric for metric in declared_metrics()}
+    require_choice(f"{where}: the metric", key, known)
     if not isinstance(changed.get("decimals", 0), int):
         raise BenchError(f"{where}: decimals of {key}: {changed['decimals']!r} is no whole number.")
-    return replace(METRICS[key], **changed)
+    try:
+        return replace(known[key], **changed)
+    except BenchError as error:
+        raise BenchError(f"{where}: {error}") from error
 
 
 def _rows(file: Path, content: Mapping[str, Any]) -> tuple[MethodRow, ...]:

@@ -73,7 +73,7 @@ def _legend(filled: FilledTable, grid: Grid, views: str) -> str:
         text += f" {CROSS} out of memory."
     if any(cell.text == "n/r" for cell in cells):
         text += " n/r: not reported."
-    if filled.cells and any(metric.key == "psnr_db" for metric in filled.table.metrics):
+    if filled.cells and any(metric.path.startswith("views.left.") for metric in filled.table.metrics):
         text += f" Our image and depth metrics are of {_VIEWS[views]}."
     return text
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.contracts.metric import Metric
 from bench.tables.document.model import Data
 from bench.tables.named.definitions import MethodRow
 from bench.tables.named.fill import FilledTable, Statistic
 from bench.tables.named.grid import OURS, PAPER, PublishedNumbers
-from bench.tables.named.metrics import Metric
 from bench.tables.named.published import AVERAGE, PublishedValue
 
 COLUMNS = (
