@@ -24,6 +24,17 @@ class Workspace:
         depth: Any,
         alpha: Any,
     ) -> None: ...
+    def observe(
+        self,
+        planes: Any,
+        T_cam_world: Any,
+        fx: float,
+        fy: float,
+        cx: float,
+        cy: float,
+        pixels: Any,
+        median_depth: Any,
+    ) -> None: ...
     def backward(
         self,
         planes: Any,

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
 from bench.gaussians.parameters import planes_from
-from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
+from bench.gaussians.schema import COLOR, HARMONICS, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, planes_of
 from bench.types import PinholeView
 
 GROUPS = {
@@ -19,12 +19,14 @@ GROUPS = {
     "quaternions": QUATERNION,
     "opacity": slice(OPACITY_LOGIT, OPACITY_LOGIT + 1),
     "colors": COLOR,
+    "harmonics": HARMONICS,
 }
 
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """What a random scene looks like; ``ratio`` is longest to shortest axis, ``opacity`` the range it is drawn from."""
+    """What a random scene looks like; ``ratio`` is longest to shortest axis, ``opacity`` the range it is drawn from,
+    ``degree`` that of the spherical harmonics."""
 
     seed: int
     count: int
@@ -32,6 +34,7 @@ class SceneSpec:
     height: int
     ratio: float
     opacity: tuple[float, float]
+    degree: int = 0
 
 
 def random_view(rng: np.random.Generator, width: int, height: int) -> PinholeView:
@@ -47,7 +50,7 @@ def random_view(rng: np.random.Generator, width: int, height: int) -> PinholeVie
 
 
 def random_scene(spec: SceneSpec) -> tuple[Tensor, PinholeView]:
-    """(14, N) float32 parameters and a view: most are in view, some straddle a border, some lie behind the camera."""
+    """(P, N) float32 parameters and a view: most are in view, some straddle a border, some lie behind the camera."""
     rng = np.random.default_rng(spec.seed)
     view = random_view(rng, spec.width, spec.height)
     n = spec.count
@@ -64,7 +67,9 @@ def random_scene(spec: SceneSpec) -> tuple[Tensor, PinholeView]:
     opacities = rng.uniform(*spec.opacity, n)
     colors = rng.uniform(-0.15, 1.1, (n, 3))  # some below zero, where the colour is clamped
     arrays = (means, axes, quaternions, opacities, colors)
-    return planes_from(*(torch.from_numpy(np.asarray(a, np.float32)) for a in arrays)), view
+    planes = planes_from(*(torch.from_numpy(np.asarray(a, np.float32)) for a in arrays))
+    harmonics = rng.normal(0.0, 0.4, (planes_of(spec.degree) - len(planes), n)).astype(np.float32)
+    return torch.cat([planes, torch.from_numpy(harmonics)]), view
 
 
 def image_gradients(view: PinholeView, seed: int) -> tuple[Tensor, Tensor, Tensor]:

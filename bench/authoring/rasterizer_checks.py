@@ -15,11 +15,13 @@ from bench import registry
 from bench.authoring.random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, relative_l2, render_and_back
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
+from bench.errors import BenchError
 from bench.gaussians.parameters import planes_from
-from bench.gaussians.schema import planes_of
+from bench.gaussians.schema import THRESHOLDS, planes_of
 from bench.types import PinholeView
 
 _SCENES = (SceneSpec(1, 150, 70, 41, 1.2, (0.05, 0.5)), SceneSpec(4, 150, 33, 17, 6.0, (0.6, 0.99)))
+_HARMONICS = SceneSpec(5, 150, 70, 41, 2.0, (0.05, 0.9), degree=3)
 # Isolated pixels may differ: an alpha just above 1/255 in one implementation is just below it in another.
 _QUANTILE, _IMAGE_TOLERANCE = 0.99, 2e-3
 _GRADIENT_TOLERANCE = 0.02
@@ -94,55 +96,102 @@ def _by_hand(subject: Subject) -> str:
 
 
 def _images(subject: Subject) -> str:
-    worst = 0.0
-    for spec in _SCENES:
-        planes, view = random_scene(spec)
-        found, true = subject.render(planes, view), subject.reference.render(planes.double(), view)
-        for name in _IMAGES:
-            truth = getattr(true, name)
-            error = (getattr(found, name).cpu().double() - truth).abs() / max(float(truth.abs().max()), 1.0)
-            quantile = float(torch.quantile(error.flatten(), _QUANTILE))
-            worst = max(worst, quantile)
-            if quantile > _IMAGE_TOLERANCE:
-                raise ContractBrokenError(
-                    f"{name} of {spec.count} random Gaussians at {spec.width}x{spec.height}: {_QUANTILE:.0%} quantile "
-                    f"of the relative error {quantile:.2g}",
-                    f"at most {_IMAGE_TOLERANCE:g} against rasterizer=reference (float64)",
-                    "thresholds: nearest depth 0.2 m, alpha 1/255 to 0.999, transmittance 1e-4; colours are clamped at "
-                    "0, not at 1; quaternions are w x y z, of any length",
-                    "render",
-                )
+    worst = max(_image_error(subject, spec) for spec in _SCENES)
     return f"{_QUANTILE:.0%} quantile of the relative error at most {worst:.1g} against rasterizer=reference"
 
 
-def _gradients(subject: Subject) -> str:
+def _image_error(subject: Subject, spec: SceneSpec) -> float:
+    planes, view = random_scene(spec)
+    found, true = subject.render(planes, view), subject.reference.render(planes.double(), view)
     worst = 0.0
-    for spec in _SCENES:
-        planes, view = random_scene(spec)
-        _, found = subject.both_ways(planes, view)
-        if not isinstance(found, Gradients) or tuple(found.planes.shape) != tuple(planes.shape) or found.twist is None:
+    for name in _IMAGES:
+        truth = getattr(true, name)
+        error = (getattr(found, name).cpu().double() - truth).abs() / max(float(truth.abs().max()), 1.0)
+        quantile = float(torch.quantile(error.flatten(), _QUANTILE))
+        worst = max(worst, quantile)
+        if quantile > _IMAGE_TOLERANCE:
+            t = THRESHOLDS
             raise ContractBrokenError(
-                f"backward() gave {type(found).__name__} of other shapes",
-                f"Gradients: planes {tuple(planes.shape)}, touched ({spec.count},) bool, twist (6,) when pose is True",
-                "return Gradients(planes, touched, twist)",
-                "backward",
+                f"{name} of {spec.count} random Gaussians at {spec.width}x{spec.height}, harmonics of degree "
+                f"{spec.degree}: {_QUANTILE:.0%} quantile of the relative error {quantile:.2g}",
+                f"at most {_IMAGE_TOLERANCE:g} against rasterizer=reference (float64)",
+                f"thresholds: nearest depth {t.near_m} m, alpha 1/{1 / t.alpha_min:.0f} to {t.alpha_max}, "
+                f"transmittance {t.transmittance_end:g}; colours are clamped at 0, not at 1; quaternions are w x y z, "
+                "of any length",
+                "render",
             )
-        double = tuple(grad.double() for grad in image_gradients(view, 1))
-        _, true = render_and_back(subject.reference, planes.double(), view, double)  # type: ignore[arg-type]
-        errors = {group: relative_l2(found.planes[rows].cpu(), true.planes[rows]) for group, rows in GROUPS.items()}
-        assert true.twist is not None
-        errors["twist"] = relative_l2(found.twist.cpu(), true.twist)
-        worst = max(worst, *errors.values())
-        name = max(errors, key=lambda group: errors[group])
-        if errors[name] > _GRADIENT_TOLERANCE:
+    return worst
+
+
+def _gradients(subject: Subject) -> str:
+    worst = max(_gradient_error(subject, spec) for spec in _SCENES)
+    return (
+        f"by {', '.join(group for group in GROUPS if group != 'harmonics')} and twist: relative L2 at most {worst:.1g}"
+    )
+
+
+def _gradient_error(subject: Subject, spec: SceneSpec) -> float:
+    planes, view = random_scene(spec)
+    _, found = subject.both_ways(planes, view)
+    if not isinstance(found, Gradients) or tuple(found.planes.shape) != tuple(planes.shape) or found.twist is None:
+        raise ContractBrokenError(
+            f"backward() gave {type(found).__name__} of other shapes",
+            f"Gradients: planes {tuple(planes.shape)}, touched ({spec.count},) bool, twist (6,) when pose is True",
+            "return Gradients(planes, touched, twist)",
+            "backward",
+        )
+    double = tuple(grad.double() for grad in image_gradients(view, 1))
+    _, true = render_and_back(subject.reference, planes.double(), view, double)  # type: ignore[arg-type]
+    errors = {group: relative_l2(found.planes[rows].cpu(), true.planes[rows]) for group, rows in GROUPS.items()}
+    assert true.twist is not None
+    errors["twist"] = relative_l2(found.twist.cpu(), true.twist)
+    name = max(errors, key=lambda group: errors[group])
+    if errors[name] > _GRADIENT_TOLERANCE:
+        raise ContractBrokenError(
+            f"the gradient by {name} differs by {errors[name]:.2g} (relative L2) from the reference's",
+            f"at most {_GRADIENT_TOLERANCE:g}",
+            "the conic's off-diagonal counts twice; no gradient where alpha is clamped; the twist perturbs p_cam "
+            "from the left, translation first",
+            "backward",
+        )
+    return errors[name]
+
+
+def _harmonics(subject: Subject) -> str | Note:
+    try:
+        subject.render(*random_scene(_HARMONICS))
+    except BenchError as error:
+        return Note(f"colours do not depend on the direction: {error}")
+    worst = max(_image_error(subject, _HARMONICS), _gradient_error(subject, _HARMONICS))
+    return f"degree {_HARMONICS.degree}: images and gradients within {worst:.1g} of rasterizer=reference"
+
+
+def _observation(subject: Subject) -> str | Note:
+    planes, view = random_scene(_SCENES[0])
+    try:
+        found = subject.rasterizer.observe(planes.to(subject.rasterizer.device), view)
+    except BenchError as error:
+        return Note(str(error))
+    true = subject.reference.observe(planes, view)
+    for name in ("pixels", "median_depth"):
+        value, truth = getattr(found, name).cpu(), getattr(true, name)
+        if value.dtype != truth.dtype or value.shape != truth.shape:
             raise ContractBrokenError(
-                f"the gradient by {name} differs by {errors[name]:.2g} (relative L2) from the reference's",
-                f"at most {_GRADIENT_TOLERANCE:g}",
-                "the conic's off-diagonal counts twice; no gradient where alpha is clamped; the twist perturbs p_cam "
-                "from the left, translation first",
-                "backward",
+                f"observe(): {name} is {value.dtype} {tuple(value.shape)}",
+                f"{truth.dtype} {tuple(truth.shape)}",
+                "Observation(pixels, median_depth)",
+                "observe",
             )
-    return f"by {', '.join(GROUPS)} and twist: relative L2 at most {worst:.1g}"
+        wrong = float((value.nan_to_num(-1.0) - truth.nan_to_num(-1.0)).abs().gt(1e-3).double().mean())
+        if wrong > 1 - _QUANTILE:
+            raise ContractBrokenError(
+                f"observe(): {name} differs from that of rasterizer=reference in {wrong:.1%} of its entries",
+                f"at most {1 - _QUANTILE:.0%}",
+                "pixels count where alpha >= 1/255 and the transmittance before is above a half; the median is the "
+                "depth of the Gaussian at which transmittance falls to a half or below, NaN where it never does",
+                "observe",
+            )
+    return "pixels per Gaussian and median depth like those of rasterizer=reference"
 
 
 def _nothing_to_see(subject: Subject) -> str:
@@ -199,6 +248,8 @@ def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:
         Check("worked by hand", _by_hand, essential=True),
         Check("images", _images),
         Check("gradients", _gradients),
+        Check("harmonics", _harmonics),
+        Check("observation", _observation),
         Check("nothing to see", _nothing_to_see),
         Check("determinism", _repeats),
     )

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from bench.errors import BenchError
 from bench.types import PinholeView
 
 
@@ -36,10 +37,19 @@ class Gradients:
     twist: Tensor | None
 
 
+@dataclass
+class Observation:
+    """What a view sees: ``pixels`` (N,) int32, in how many pixels a Gaussian is blended (alpha >= 1/255) while the
+    transmittance before it is above a half; ``median_depth`` (H, W) float32 in metres, of the Gaussian at which
+    transmittance falls to a half or below, NaN where it never does."""
+
+    pixels: Tensor
+    median_depth: Tensor
+
+
 class Rasterizer(ABC):
-    """Renders Gaussians by depth-sorted alpha blending (paper, Eqs. 2-4) with these thresholds, those of gsplat:
-    nearest depth 0.2 m, 0.3 px^2 low-pass, alpha at least 1/255 and at most 0.999, a pixel ends before transmittance
-    falls to 1e-4."""
+    """Renders Gaussians by depth-sorted alpha blending (paper, Eqs. 2-4) with gsplat's thresholds, which are
+    ``bench.gaussians.schema.THRESHOLDS``. The number of planes says the degree of the spherical harmonics, 0 to 3."""
 
     device: torch.device
 
@@ -57,3 +67,9 @@ class Rasterizer(ABC):
         pose: bool = False,
     ) -> Gradients:
         """Gradients of a loss from its gradients by the three images (None = zero). Once a render."""
+
+    def observe(self, planes: Tensor, view: PinholeView) -> Observation:
+        """Which of the (P, N) parameters a view sees, and how far; ``BenchError`` where a rasterizer can't tell."""
+        raise BenchError(
+            f"The rasterizer {type(self).__name__} does not tell which Gaussians a view sees. Use the rasterizer cpu."
+        )

@@ -6,6 +6,8 @@
 namespace bgs {
 namespace {
 
+#include "kernels_planes.inc"
+#include "kernels_harmonics.inc"
 #include "kernels_project.inc"
 #include "kernels_raster.inc"
 #include "kernels_photometric.inc"
@@ -15,7 +17,8 @@ namespace {
 }  // namespace
 
 extern const KernelTable BGS_TABLE;
-const KernelTable BGS_TABLE = {BGS_ISA,           project, raster_forward, raster_backward, project_backward, photometric,
-                               target_statistics, adam,    count_normals,  normal_loss,     smooth_loss,      geo_loss};
+const KernelTable BGS_TABLE = {BGS_ISA,     project,           raster_forward, raster_backward, raster_observe, project_backward,
+                               photometric, target_statistics, adam,           count_normals,   normal_loss,    smooth_loss,
+                               geo_loss};
 
 }  // namespace bgs

@@ -18,7 +18,7 @@ constexpr float ALPHA_FLOOR = 1e-6f;            // depth / alpha divides by at l
 constexpr int CHUNK = 2048;                     // Gaussians of one projection task; a multiple of 8
 
 struct View {
-    float R[9], t[3];
+    float R[9], t[3], center[3];  // of world to camera; the camera's centre in the world
     float fx, fy, cx, cy;
     int width, height;
     float x_over_z_min, x_over_z_max, y_over_z_min, y_over_z_max;  // where the Jacobian is evaluated at most
@@ -69,6 +69,13 @@ struct RasterBackwardArgs {
     const float *grad_color, *grad_depth, *grad_alpha;  // null = zero
     float* slots;
     const uint32_t* first_slot;  // of each chunk
+};
+
+struct ObserveArgs {
+    RasterArgs forward;      // without outputs and blocks
+    int* slots;              // of each (Gaussian, tile) pair: pixels
+    const uint32_t* first_slot;  // of each chunk
+    float* median_depth;     // (H, W)
 };
 
 struct ProjectBackwardArgs {
@@ -154,6 +161,7 @@ struct KernelTable {
     void (*project)(const ProjectArgs&, int chunk);
     void (*raster_forward)(const RasterArgs&, int tile);
     void (*raster_backward)(const RasterBackwardArgs&, int tile);
+    void (*raster_observe)(const ObserveArgs&, int tile);
     void (*project_backward)(const ProjectBackwardArgs&, int chunk);
     void (*photometric)(const PhotometricArgs&, int task, float* scratch);
     void (*target_statistics)(const float* target, float* mean, float* variance, int width, int height, float* scratch);

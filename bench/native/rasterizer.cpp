@@ -8,8 +8,9 @@
 
 namespace bgs {
 
-void Workspace::forward(const float* planes, size_t stride, int count, int degree, const View& view, float* color, float* depth, float* alpha) {
-    view_ = view, count_ = count, degree_ = degree, color_ = color, depth_ = depth, alpha_ = alpha;
+// Records of the visible Gaussians, nearest first in the list of each tile.
+void Workspace::project(const float* planes, size_t stride, int count, int degree, const View& view) {
+    view_ = view, count_ = count, degree_ = degree;
     tiles_x_ = (view.width + TILE_W - 1) / TILE_W, tiles_y_ = (view.height + TILE_H - 1) / TILE_H;
     const int chunks = (count + CHUNK - 1) / CHUNK;
     const KernelTable& k = kernels();
@@ -18,8 +19,32 @@ void Workspace::forward(const float* planes, size_t stride, int count, int degre
     pool().run(chunks, [&](int chunk) { k.project(project, chunk); });
     sort_by_depth(chunks);
     bin();
-    const RasterArgs raster{records_.data(), tile_start_.data(), tile_list_.data(), tile_blocks_.data(), view.width, view.height, tiles_x_, tiles_y_, color, depth, alpha};
-    pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_forward(raster, tile); });
+}
+
+RasterArgs Workspace::raster_args() const {
+    return {records_.data(), tile_start_.data(), tile_list_.data(), tile_blocks_.data(), view_.width, view_.height, tiles_x_, tiles_y_, color_, depth_, alpha_};
+}
+
+void Workspace::forward(const float* planes, size_t stride, int count, int degree, const View& view, float* color, float* depth, float* alpha) {
+    project(planes, stride, count, degree, view);
+    color_ = color, depth_ = depth, alpha_ = alpha;
+    const RasterArgs raster = raster_args();
+    pool().run(tiles_x_ * tiles_y_, [&](int tile) { kernels().raster_forward(raster, tile); });
+}
+
+void Workspace::observe(const float* planes, size_t stride, int count, int degree, const View& view, int* pixels, float* median_depth) {
+    project(planes, stride, count, degree, view);
+    static_assert(sizeof(int) == sizeof(float), "the counts borrow a buffer of floats");
+    int* slots = reinterpret_cast<int*>(slots_.reserve(slots_used_));
+    const ObserveArgs args{raster_args(), slots, first_slot_.data(), median_depth};
+    pool().run(tiles_x_ * tiles_y_, [&](int tile) { kernels().raster_observe(args, tile); });
+    for (int i = 0; i < count; ++i) {
+        pixels[i] = 0;
+        if (place_.data()[i] < 0) continue;
+        const Record& r = records_.data()[place_.data()[i]];
+        const int* mine = slots + first_slot_.data()[r.chunk] + r.slot;
+        for (int tile = 0; tile < r.box.tiles(); ++tile) pixels[i] += mine[tile];
+    }
 }
 
 // Stable radix sort of the visible Gaussians by depth; equal depths keep the order of the map.
@@ -123,8 +148,7 @@ void Workspace::backward(const float* planes, size_t stride, const float* grad_c
                          float* grads, size_t grads_stride, bool* touched, double* pose) {
     const KernelTable& k = kernels();
     float* slots = slots_.reserve(slots_used_ * SLOT);
-    const RasterArgs forward{records_.data(), tile_start_.data(), tile_list_.data(), tile_blocks_.data(), view_.width, view_.height, tiles_x_, tiles_y_, color_, depth_, alpha_};
-    const RasterBackwardArgs raster{forward, grad_color, grad_depth, grad_alpha, slots, first_slot_.data()};
+    const RasterBackwardArgs raster{raster_args(), grad_color, grad_depth, grad_alpha, slots, first_slot_.data()};
     pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_backward(raster, tile); });
     const int chunks = (count_ + CHUNK - 1) / CHUNK;
     double* sums = pose == nullptr ? nullptr : pose_.reserve(static_cast<size_t>(chunks) * 6);

@@ -9,6 +9,8 @@ namespace bgs {
 class Workspace {
 public:
     void forward(const float* planes, size_t stride, int count, int degree, const View& view, float* color, float* depth, float* alpha);
+    // Per Gaussian the pixels that see it before half of their light is gone, and where that is; NaN where it never is.
+    void observe(const float* planes, size_t stride, int count, int degree, const View& view, int* pixels, float* median_depth);
     // `pose` (6 values) may be null; null image gradients count as zero.
     void backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
                   float* grads, size_t grads_stride, bool* touched, double* pose);
@@ -20,6 +22,8 @@ public:
     size_t bytes() const;
 
 private:
+    void project(const float* planes, size_t stride, int count, int degree, const View& view);
+    RasterArgs raster_args() const;
     void sort_by_depth(int chunks);
     void bin();
 

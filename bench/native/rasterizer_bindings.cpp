@@ -19,6 +19,8 @@ bgs::View view_of(const Matrix& T_cam_world, float fx, float fy, float cx, float
         for (int c = 0; c < 3; ++c) v.R[3 * r + c] = static_cast<float>(T_cam_world(r, c));
         v.t[r] = static_cast<float>(T_cam_world(r, 3));
     }
+    for (int k = 0; k < 3; ++k)
+        v.center[k] = static_cast<float>(-(T_cam_world(0, k) * T_cam_world(0, 3) + T_cam_world(1, k) * T_cam_world(1, 3) + T_cam_world(2, k) * T_cam_world(2, 3)));
     v.fx = fx, v.fy = fy, v.cx = cx, v.cy = cy, v.width = width, v.height = height;
     // As in gsplat, where pixel centres are at .5.
     constexpr auto margin = static_cast<float>(bgs::JACOBIAN_MARGIN);
@@ -28,16 +30,31 @@ bgs::View view_of(const Matrix& T_cam_world, float fx, float fy, float cx, float
     return v;
 }
 
+int degree_of(const Array2& planes) {
+    for (int degree = 0; degree <= bgs::MAX_DEGREE; ++degree)
+        if (static_cast<int>(planes.shape(0)) == bgs::planes_of(degree)) return degree;
+    throw std::invalid_argument("planes must have shape (14, N), (23, N), (38, N) or (59, N)");
+}
+
 void forward(bgs::Workspace& ws, const Array2& planes, const Matrix& T_cam_world, float fx, float fy, float cx, float cy, Array3& color,
              Array2& depth, Array2& alpha) {
-    require(planes.shape(0) == bgs::planes_of(0), "planes must have shape (14, N)");
+    const int degree = degree_of(planes);
     const int height = static_cast<int>(depth.shape(0)), width = static_cast<int>(depth.shape(1));
     check_image(color, 3, height, width, "color must have shape (3, H, W) for a depth of shape (H, W)");
     check_map(alpha, height, width, "alpha must have the shape of depth");
     const bgs::View view = view_of(T_cam_world, fx, fy, cx, cy, width, height);
     const int count = static_cast<int>(planes.shape(1));
     nb::gil_scoped_release release;
-    ws.forward(planes.data(), planes.shape(1), count, 0, view, color.data(), depth.data(), alpha.data());
+    ws.forward(planes.data(), planes.shape(1), count, degree, view, color.data(), depth.data(), alpha.data());
+}
+
+void observe(bgs::Workspace& ws, const Array2& planes, const Matrix& T_cam_world, float fx, float fy, float cx, float cy, Counts& pixels,
+             Array2& median_depth) {
+    const int degree = degree_of(planes), count = static_cast<int>(planes.shape(1));
+    require(pixels.shape(0) == planes.shape(1), "pixels must have shape (N,)");
+    const bgs::View view = view_of(T_cam_world, fx, fy, cx, cy, static_cast<int>(median_depth.shape(1)), static_cast<int>(median_depth.shape(0)));
+    nb::gil_scoped_release release;
+    ws.observe(planes.data(), planes.shape(1), count, degree, view, pixels.data(), median_depth.data());
 }
 
 std::vector<double> backward(bgs::Workspace& ws, const Array2& planes, const std::optional<Array3>& grad_color,
@@ -64,6 +81,8 @@ void bind_rasterizer(nb::module_& m) {
         .def(nb::init<>())
         .def("forward", &forward, "planes"_a.noconvert(), "T_cam_world"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "color"_a.noconvert(),
              "depth"_a.noconvert(), "alpha"_a.noconvert())
+        .def("observe", &observe, "planes"_a.noconvert(), "T_cam_world"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "pixels"_a.noconvert(),
+             "median_depth"_a.noconvert())
         .def("backward", &backward, "planes"_a.noconvert(), "grad_color"_a.noconvert().none(), "grad_depth"_a.noconvert().none(),
              "grad_alpha"_a.noconvert().none(), "grads"_a.noconvert(), "touched"_a.noconvert(), "pose"_a)
         .def_prop_ro("count", &bgs::Workspace::count)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
+from bench.contracts.rasterizer import Gradients, Observation, Rasterizer, Rendered
 from bench.errors import BenchError
 from bench.registry import PluginConfig, register
 from bench.types import PinholeView
@@ -57,6 +57,15 @@ class CpuRasterizer(Rasterizer):
             self._free.append(workspace)
             return Rendered(color, depth, alpha)
         return Rendered(color, depth, alpha, (workspace, planes))
+
+    def observe(self, planes: Tensor, view: PinholeView) -> Observation:
+        workspace = self._free.pop() if self._free else self._native.Workspace()
+        pixels = torch.empty(planes.shape[1], dtype=torch.int32)
+        median_depth = torch.empty(view.height, view.width)
+        T_cam_world = np.ascontiguousarray(view.T_cam_world)
+        workspace.observe(planes, T_cam_world, view.fx, view.fy, view.cx, view.cy, pixels, median_depth)
+        self._free.append(workspace)
+        return Observation(pixels, median_depth)
 
     def backward(
         self,

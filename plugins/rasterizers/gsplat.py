@@ -7,9 +7,12 @@ import importlib.util
 import torch
 from torch import Tensor
 
+from bench.contracts.rasterizer import Observation
+from bench.errors import BenchError
 from bench.gaussians.autograd import AutogradRasterizer, perturbed
 from bench.gaussians.parameters import NamedParameters
-from bench.gaussians.schema import THRESHOLDS
+from bench.gaussians.schema import THRESHOLDS, degree_of
+from bench.gaussians.spherical_harmonics import coefficients
 from bench.registry import PluginConfig, register
 from bench.types import PinholeView
 
@@ -34,6 +37,12 @@ class GsplatRasterizer(AutogradRasterizer):
             return "gsplat is not installed. Run: pip install 'bgs-slam-bench[cuda]'"
         return None
 
+    def observe(self, planes: Tensor, view: PinholeView) -> Observation:
+        raise BenchError(
+            "The rasterizer gsplat can't tell which Gaussians a view sees: its kernels do not give back a Gaussian's "
+            "alpha at a pixel. Use the rasterizer cpu."
+        )
+
     def splat(self, planes: Tensor, view: PinholeView, twist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         from gsplat import rasterization
 
@@ -46,13 +55,14 @@ class GsplatRasterizer(AutogradRasterizer):
         T_cam_world = torch.cat([torch.cat([R, t[:, None]], 1), last_row])
         # gsplat has the centre of the first pixel at 0.5, we at 0.
         K = planes.new_tensor([[view.fx, 0.0, view.cx + 0.5], [0.0, view.fy, view.cy + 0.5], [0.0, 0.0, 1.0]])
-        gaussians = NamedParameters(planes)
+        gaussians, degree = NamedParameters(planes), degree_of(planes.shape[0])
         images, alpha, meta = rasterization(
             means=gaussians.means,
             quats=gaussians.quaternions,
             scales=gaussians.scales,
             opacities=gaussians.opacities,
-            colors=gaussians.colors,
+            # Colours, or coefficients of harmonics in the direction from the camera, which gsplat takes from the pose.
+            colors=coefficients(planes) if degree else gaussians.colors,
             viewmats=T_cam_world[None],
             Ks=K[None],
             width=view.width,
@@ -60,7 +70,7 @@ class GsplatRasterizer(AutogradRasterizer):
             # The other thresholds are constants of gsplat's kernels.
             near_plane=THRESHOLDS.near_m,
             eps2d=THRESHOLDS.low_pass_px2,
-            sh_degree=None,
+            sh_degree=degree or None,
             packed=False,
             render_mode="RGB+D",
             rasterize_mode="classic",

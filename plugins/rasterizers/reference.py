@@ -5,8 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from bench.contracts.rasterizer import Observation
 from bench.gaussians.autograd import AutogradRasterizer, perturbed
-from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, SH_C0, THRESHOLDS
+from bench.gaussians.schema import LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, THRESHOLDS
+from bench.gaussians.spherical_harmonics import colors
 from bench.registry import PluginConfig, register
 from bench.types import PinholeView
 
@@ -22,6 +24,30 @@ class ReferenceRasterizer(AutogradRasterizer):
 
     def splat(self, planes: Tensor, view: PinholeView, twist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         R, t = perturbed(torch.as_tensor(view.T_cam_world, dtype=planes.dtype), twist)
+        color = colors(planes, -R.T @ t)
+        z, order, alpha, before, following = self._layers(planes, view, R, t)
+        weight = torch.where(following > THRESHOLDS.transmittance_end, alpha * before, torch.zeros_like(alpha))
+        shape = (view.height, view.width)
+        visible = torch.zeros(planes.shape[1], dtype=torch.bool)
+        visible[order] = (alpha > 0).any(1)
+        return (
+            (color[:, order] @ weight).reshape(3, *shape),
+            (z[order] @ weight).reshape(shape),
+            weight.sum(0).reshape(shape),
+            visible,
+        )
+
+    def observe(self, planes: Tensor, view: PinholeView) -> Observation:
+        T = torch.as_tensor(view.T_cam_world, dtype=self.dtype)
+        z, order, alpha, before, following = self._layers(planes.to(self.dtype), view, T[:3, :3], T[:3, 3])
+        pixels = torch.zeros(planes.shape[1], dtype=torch.int32)
+        pixels[order] = ((alpha > 0) & (before > 0.5)).sum(1, dtype=torch.int32)
+        falls = (before > 0.5) & (following <= 0.5)  # at most once per pixel
+        depth = torch.where(falls.any(0), z[order] @ falls.to(z), torch.nan)
+        return Observation(pixels, depth.reshape(view.height, view.width).float())
+
+    def _layers(self, planes: Tensor, view: PinholeView, R: Tensor, t: Tensor) -> tuple[Tensor, ...]:
+        """Depths (N,), nearest first ``order`` (N,); in that order alpha, transmittance before and behind, (N, H W)."""
         p_cam = planes[MEAN].T @ R.T + t
         z = p_cam[:, 2]
         near = z >= THRESHOLDS.near_m
@@ -30,7 +56,6 @@ class ReferenceRasterizer(AutogradRasterizer):
         covariance = self._image_covariance(planes, R, p_cam, safe_z, view)
         conic = torch.linalg.inv(covariance)
         opacity = torch.sigmoid(planes[OPACITY_LOGIT])
-        color = (0.5 + SH_C0 * planes[COLOR]).clamp_min(0.0)
         # Depth order as a float32 renderer sees it, ties by index.
         order = torch.argsort(z.detach().float(), stable=True)
         ys, xs = torch.meshgrid(torch.arange(view.height), torch.arange(view.width), indexing="ij")
@@ -42,16 +67,7 @@ class ReferenceRasterizer(AutogradRasterizer):
         alpha = torch.where(shown, raw.clamp_max(THRESHOLDS.alpha_max), torch.zeros_like(raw))
         following = torch.cumprod(1.0 - alpha, 0)
         before = torch.cat([torch.ones_like(following[:1]), following[:-1]])
-        weight = torch.where(following > THRESHOLDS.transmittance_end, alpha * before, torch.zeros_like(alpha))
-        shape = (view.height, view.width)
-        visible = torch.zeros(planes.shape[1], dtype=torch.bool)
-        visible[order] = shown.any(1)
-        return (
-            (color[:, order] @ weight).reshape(3, *shape),
-            (z[order] @ weight).reshape(shape),
-            weight.sum(0).reshape(shape),
-            visible,
-        )
+        return z, order, alpha, before, following
 
     def _image_covariance(self, planes: Tensor, R: Tensor, p_cam: Tensor, z: Tensor, view: PinholeView) -> Tensor:
         """J W Sigma W^T J^T + 0.3 I, (N, 2, 2) px^2 (paper, Eq. 2)."""

@@ -26,6 +26,9 @@ SCENES = {
     "one pixel wide": SceneSpec(6, 30, 1, 19, 2.0, (0.2, 0.8)),
     "one tile exactly": SceneSpec(7, 80, 32, 16, 3.0, (0.2, 0.8)),
     "one Gaussian": SceneSpec(8, 2, 40, 30, 3.0, (0.5, 0.6)),
+    "harmonics of degree 1": SceneSpec(11, 203, 70, 41, 3.0, (0.05, 0.9), degree=1),
+    "harmonics of degree 2": SceneSpec(12, 150, 33, 17, 3.0, (0.05, 0.9), degree=2),
+    "harmonics of degree 3": SceneSpec(13, 321, 97, 50, 3.0, (0.05, 0.9), degree=3),
 }
 
 
@@ -82,8 +85,8 @@ def test_each_image_alone_and_missing_gradients(only: str) -> None:
     mine = one.backward(one.render(planes, view), *given, pose=True)
     true = other.backward(other.render(planes.double(), view), *given, pose=True)
     for group, rows in GROUPS.items():
-        if only != "color" and group == "colors":
-            assert float(mine.planes[rows].abs().max()) == 0.0
+        if only != "color" and group in ("colors", "harmonics"):
+            assert float(mine.planes[rows].abs().sum()) == 0.0
         else:
             assert relative_l2(mine.planes[rows], true.planes[rows]) <= 1e-5, group
     assert relative_l2(mine.twist, true.twist) <= 5e-5  # type: ignore[arg-type]
@@ -145,6 +148,46 @@ def test_same_bits_for_any_number_of_threads() -> None:
         assert torch.equal(gradients.touched, results[0][1].touched)
 
 
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_harmonics_of_coefficient_zero_change_nothing(degree: int) -> None:
+    planes, view = random_scene(SCENES["long, opaque, 70x41"])
+    grads = image_gradients(view, 5)
+    plain, by_plain = render_and_back(cpu(), planes, view, grads)
+    wide = torch.cat([planes, torch.zeros(planes_of(degree) - len(planes), planes.shape[1])])
+    rendered, by_wide = render_and_back(cpu(), wide, view, grads)
+    assert torch.equal(rendered.color, plain.color)
+    assert torch.equal(by_wide.planes[: len(planes)], by_plain.planes)
+    assert torch.equal(by_wide.twist, by_plain.twist)  # type: ignore[arg-type]
+    assert float(by_wide.planes[len(planes) :].abs().max()) > 0.0
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_a_view_sees_agrees_with_the_reference(name: str) -> None:
+    planes, view = random_scene(SCENES[name])
+    mine, true = cpu().observe(planes, view), reference().observe(planes.double(), view)
+    assert mine.pixels.dtype == torch.int32
+    assert mine.median_depth.dtype == torch.float32
+    # As for images, an alpha may fall on the other side of 1/255, or a transmittance on the other side of a half.
+    assert int((mine.pixels - true.pixels).abs().sum()) <= 2e-4 * int(true.pixels.sum())
+    assert torch.equal(mine.median_depth.isnan(), true.median_depth.isnan())
+    error = (mine.median_depth - true.median_depth).abs().nan_to_num()
+    assert float((error > 1e-4).double().mean()) <= 1e-3
+
+
+def test_same_observation_for_any_number_of_threads_and_after_a_render() -> None:
+    planes, view = random_scene(SceneSpec(10, 5000, 150, 70, 4.0, (0.02, 0.95)))
+    results = []
+    for threads in (1, 2, 3):
+        rasterizer = cpu(threads)
+        results.append(rasterizer.observe(planes, view))
+        rendered = rasterizer.render(planes, view)
+        results.append(rasterizer.observe(planes, view))
+        rasterizer.backward(rendered, *image_gradients(view, 1))
+    for other in results[1:]:
+        assert torch.equal(other.pixels, results[0].pixels)
+        assert torch.equal(other.median_depth.nan_to_num(-1.0), results[0].median_depth.nan_to_num(-1.0))
+
+
 def test_two_renders_before_the_first_backward() -> None:
     planes, view = random_scene(SCENES["long, opaque, 70x41"])
     other_planes, other_view = random_scene(SCENES["round, opaque, 33x17"])
@@ -185,7 +228,7 @@ def _bad(change: str, planes: Tensor) -> Tensor:
 @pytest.mark.parametrize(
     ("change", "error", "text"),
     [
-        ("rows", ValueError, r"planes must have shape \(14, N\)"),
+        ("rows", ValueError, r"planes must have shape \(14, N\), \(23, N\)"),
         ("dtype", TypeError, r"planes: .*float32"),
         ("not contiguous", TypeError, r"planes: "),
         ("one dimension", TypeError, r"planes: "),

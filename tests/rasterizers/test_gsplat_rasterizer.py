@@ -13,13 +13,20 @@ from random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, rela
 from torch import Tensor
 
 from bench import registry
+from bench.errors import BenchError
+from bench.gaussians.spherical_harmonics import basis
 from bench.registry import PluginConfig
 from bench.types import PinholeView
 from plugins.rasterizers.cpu import CpuRasterizer, CpuRasterizerConfig
 from plugins.rasterizers.gsplat import GsplatRasterizer
 from plugins.rasterizers.reference import ReferenceRasterizer
 
-SPECS = [SceneSpec(1, 203, 70, 41, 1.2, (0.05, 0.5)), SceneSpec(2, 150, 97, 50, 6.0, (0.1, 0.99))]
+SPECS = [
+    SceneSpec(1, 203, 70, 41, 1.2, (0.05, 0.5)),
+    SceneSpec(2, 150, 97, 50, 6.0, (0.1, 0.99)),
+    SceneSpec(3, 150, 97, 50, 3.0, (0.1, 0.9), degree=1),
+    SceneSpec(4, 150, 97, 50, 3.0, (0.1, 0.9), degree=3),
+]
 
 
 @pytest.fixture
@@ -60,7 +67,8 @@ def test_unavailable_without_the_package(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "pip install 'bgs-slam-bench[cuda]'" in str(GsplatRasterizer.unavailable_reason())
 
 
-def test_what_is_handed_to_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("spec", SPECS[1:])
+def test_what_is_handed_to_gsplat(monkeypatch: pytest.MonkeyPatch, spec: SceneSpec) -> None:
     """Without a GPU: a stand-in paints, by our float64 reference, what gsplat would be given.
 
     So activations, pixel centres, axes, the pose and its gradients are right if the images are those of the reference.
@@ -83,7 +91,7 @@ def test_what_is_handed_to_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
         M = T[:3, :3] @ rotation * given["scales"][:, None, :]
         monkeypatch.setattr(reference, "_image_covariance", lambda p, R, p_cam, z, v: _covariance(M, p_cam, z, v))
         means = given["means"] @ T[:3, :3].T + T[:3, 3]
-        logits, colors = torch.logit(given["opacities"]), (given["colors"] - 0.5) / 0.28209479177387814
+        logits, colors = torch.logit(given["opacities"]), (_colors(**given) - 0.5) / 0.28209479177387814
         planes = torch.cat([means.T, torch.zeros(7, len(means), dtype=means.dtype), logits[None], colors.T])
         color, depth, alpha, visible = reference.splat(planes, view, torch.zeros(6, dtype=means.dtype))
         images = torch.cat([color, depth[None]]).permute(1, 2, 0)
@@ -92,7 +100,7 @@ def test_what_is_handed_to_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gsplat", types.SimpleNamespace(rasterization=stand_in))
     mine = GsplatRasterizer(PluginConfig("gsplat"))
     mine.device, mine.dtype = torch.device("cpu"), torch.float64
-    planes, view = random_scene(SPECS[1])
+    planes, view = random_scene(spec)
     planes, grads = planes.double(), tuple(g.double() for g in image_gradients(view, 1))
     rendered, gradients = render_and_back(mine, planes, view, grads)  # type: ignore[arg-type]
     monkeypatch.undo()
@@ -102,6 +110,21 @@ def test_what_is_handed_to_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
     assert relative_l2(gradients.planes, by_true.planes) < 1e-5
     assert relative_l2(gradients.twist, by_true.twist) < 1e-5  # type: ignore[arg-type]
     assert torch.equal(gradients.touched, by_true.touched)
+
+
+def _colors(colors: Tensor, means: Tensor, viewmats: Tensor, sh_degree: int | None, **_: Any) -> Tensor:
+    """RGB (N, 3): as given, or from coefficients (N, K, 3), as gsplat documents ``sh_degree``."""
+    if sh_degree is None:
+        return colors
+    assert colors.shape == (len(means), (sh_degree + 1) ** 2, 3)
+    directions = torch.nn.functional.normalize(means - torch.inverse(viewmats[0])[:3, 3], dim=1)
+    return (0.5 + (basis(directions, sh_degree)[..., None] * colors).sum(1)).clamp_min(0.0)
+
+
+def test_gsplat_says_why_it_cannot_observe() -> None:
+    planes, view = random_scene(SPECS[0])
+    with pytest.raises(BenchError, match=r"do not give back a Gaussian's alpha at a pixel. Use the rasterizer cpu"):
+        GsplatRasterizer(PluginConfig("gsplat")).observe(planes, view)
 
 
 def _covariance(M: Tensor, p_cam: Tensor, z: Tensor, view: PinholeView) -> Tensor:

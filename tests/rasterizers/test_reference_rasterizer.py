@@ -103,6 +103,30 @@ def test_thresholds(rasterizer: Rasterizer) -> None:
     assert float(rasterizer.render(gaussian((0, 0, 4), (1, 1, 1), 0.00395, (1, 1, 1)), VIEW).alpha[8, 10]) > 0.0
 
 
+def test_what_a_view_sees_worked_by_hand(rasterizer: Rasterizer) -> None:
+    """A wall of opacity 0.4 at 3 m leaves 0.6, one of 0.3 at 5 m leaves 0.42: the third at 7 m is seen by no pixel."""
+    walls = [gaussian((0, 0, z), (50, 50, 50), a, (1, 1, 1)) for z, a in ((7.0, 0.9), (3.0, 0.4), (5.0, 0.3))]
+    # A ball in front, of 4.3 px^2: alpha >= 1/255 within 2 * 4.3 * log(0.2 * 255) = 33.8 px^2.
+    ball = gaussian((0, 0, 2), (0.1, 0.1, 0.1), 0.2, (1, 1, 1))
+    seen = rasterizer.observe(torch.cat([*walls, ball], 1), VIEW)
+    y, x = np.mgrid[:H, :W]
+    distance2 = (x - 10.0) ** 2 + (y - 8.0) ** 2
+    # Where the ball covers more than 1 - 0.5 / 0.6, the first wall leaves less than a half already.
+    covered = 0.2 * np.exp(-0.5 * distance2 / 4.3) > 1 - 0.5 / 0.6
+    assert covered.sum() > 0
+    of_ball = int((distance2 <= 2 * 4.3 * np.log(0.2 * 255)).sum())
+    assert seen.pixels.tolist() == [0, W * H, W * H - covered.sum(), of_ball]
+    np.testing.assert_allclose(seen.median_depth, np.where(covered, 3.0, 5.0), atol=1e-5)
+
+
+def test_a_pixel_that_stays_clear_has_no_median_depth(rasterizer: Rasterizer) -> None:
+    seen = rasterizer.observe(gaussian((0, 0, 4), (0.2, 0.2, 0.2), 0.7, (1, 1, 1)), VIEW)
+    y, x = np.mgrid[:H, :W]
+    behind_half = 0.7 * np.exp(-0.5 * ((x - 10.0) ** 2 + (y - 8.0) ** 2) / 4.3) >= 0.5
+    np.testing.assert_array_equal(~seen.median_depth.isnan(), behind_half)
+    assert float(seen.median_depth[8, 10]) == 4.0
+
+
 def numerical(function: Callable[[Tensor], Tensor], at: Tensor, step: float) -> Tensor:
     """Central differences of a scalar function of a flat tensor."""
     out = torch.zeros_like(at)
@@ -115,9 +139,9 @@ def numerical(function: Callable[[Tensor], Tensor], at: Tensor, step: float) -> 
     return out
 
 
-@pytest.fixture
-def small_scene() -> tuple[Tensor, PinholeView]:
-    planes, view = random_scene(SceneSpec(3, 7, 13, 9, 3.0, (0.3, 0.9)))
+@pytest.fixture(params=[0, 3])
+def small_scene(request: pytest.FixtureRequest) -> tuple[Tensor, PinholeView]:
+    planes, view = random_scene(SceneSpec(3, 7, 13, 9, 3.0, (0.3, 0.9), degree=request.param))
     return planes.double(), view
 
 
