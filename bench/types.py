@@ -224,7 +224,6 @@ class MappingReport:
 
     psnr_db: float
     gaussians: int
-    iterations: int
     losses: dict[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
 

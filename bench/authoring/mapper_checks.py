@@ -148,7 +148,7 @@ def _learns(subject: Subject) -> str | Note:
             raise ContractBrokenError(
                 f"add_keyframe() of keyframe {k} returned {report!r}",
                 "bench.types.MappingReport with a finite PSNR in dB",
-                "return MappingReport(psnr_db, self.gaussians, iterations, losses)",
+                "return MappingReport(psnr_db, self.gaussians, losses)",
                 "add_keyframe",
             )
     last = subject.mapped.reports[-1]

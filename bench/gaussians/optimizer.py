@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
-from torch import Tensor
 
+from bench import _native
 from bench.contracts.rasterizer import Gradients
+from bench.gaussians.map import GaussianMap
 from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, planes_of
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
+HARMONICS_SHARE = 1 / 20
+"""Rate of the harmonics of degree 1 and more, as a share of the colour's (Kerbl et al., 2023)."""
 
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Rates a parameter; ``position`` is multiplied by each Gaussian's depth at birth, so it is metres a metre of
-    depth."""
+    """Rates per parameter; ``position`` is multiplied by each Gaussian's depth at birth: metres per metre of depth."""
 
     position: float
     color: float
@@ -25,9 +26,9 @@ class LearningRates:
     scale: float
     rotation: float
 
-    def per_plane(self) -> list[float]:
-        """One rate a plane, 14 in all."""
-        rates = [0.0] * planes_of(0)
+    def per_plane(self, sh_degree: int) -> list[float]:
+        """One rate for each plane of a map with harmonics of that degree."""
+        rates = [self.color * HARMONICS_SHARE] * planes_of(sh_degree)
         rates[MEAN] = [self.position] * 3
         rates[LOG_SCALE] = [self.scale] * 3
         rates[QUATERNION] = [self.rotation] * 4
@@ -37,70 +38,42 @@ class LearningRates:
 
 
 class MapOptimizer:
-    """Adam's two moments (14, N) for a growing and shrinking set of Gaussians (Kingma and Ba, 2015)."""
+    """Adam (Kingma and Ba, 2015) on the map's columns; ``steps`` counts the updates."""
 
-    def __init__(self, rates: LearningRates, device: torch.device) -> None:
-        self._rates = rates.per_plane()
-        self._first = torch.zeros(planes_of(0), 0, device=device)
-        self._second = torch.zeros(planes_of(0), 0, device=device)
-        self._step = 0
+    def __init__(self, rates: LearningRates) -> None:
+        self._rates = rates
+        self.steps = 0
 
-    def grow(self, count: int) -> None:
-        """Make room for ``count`` new Gaussians, their moments zero."""
-        new = self._first.new_zeros(planes_of(0), count)
-        self._first = torch.cat([self._first, new], 1)
-        self._second = torch.cat([self._second, new], 1)
-
-    def keep(self, mask: Tensor) -> None:
-        """Drop the moments of the Gaussians that are not in the (N,) bool mask."""
-        self._first, self._second = self._first[:, mask].contiguous(), self._second[:, mask].contiguous()
-
-    def state(self) -> dict[str, Any]:
-        """Both moments (14, N) on the CPU and the number of steps."""
-        return {"first": self._first.cpu(), "second": self._second.cpu(), "step": self._step}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what ``state`` gave."""
-        device = self._first.device
-        self._first, self._second = state["first"].to(device), state["second"].to(device)
-        self._step = state["step"]
-
-    def rotate(self, planes: slice, which: slice, matrix: Tensor) -> None:
-        """The K parameters ``planes`` of the Gaussians ``which`` have been multiplied by an orthogonal (K, K) matrix.
-
-        Gradients turn with the parameters, and so does their mean, the first moment. Of their second moments Adam knows
-        only the diagonal; it turns as if the gradient's components were uncorrelated.
-        """
-        self._first[planes, which] = matrix @ self._first[planes, which]
-        self._second[planes, which] = matrix.square() @ self._second[planes, which]
-
-    def step(self, planes: Tensor, gradients: Gradients, position_rate: Tensor) -> None:
-        """One update of ``planes`` (14, N) in place; ``position_rate`` (N,) multiplies the rate of the positions."""
-        self._step += 1
-        if planes.device.type == "cpu":
-            import bench._native as _native
-
+    def step(self, gaussians: GaussianMap, gradients: Gradients) -> None:
+        """One update of parameters and moments of the touched Gaussians, in place; their birth depths multiply the
+        rate of the positions."""
+        self.steps += 1
+        rates = self._rates.per_plane(gaussians.sh_degree)
+        if gaussians.device.type == "cpu":
             _native.adam_step(
-                planes,
-                self._first,
-                self._second,
+                gaussians.planes,
+                gaussians.first_moment,
+                gaussians.second_moment,
                 gradients.planes,
-                position_rate,
-                self._rates,
+                gaussians.birth_depth,
+                rates,
                 BETA1,
                 BETA2,
                 EPSILON,
-                self._step,
+                self.steps,
                 gradients.touched,
             )
-            return
+        else:
+            self._step_in_torch(gaussians, gradients, rates)
+
+    def _step_in_torch(self, gaussians: GaussianMap, gradients: Gradients, rates: list[float]) -> None:
         touched = gradients.touched[None]
-        first = torch.lerp(gradients.planes, self._first, BETA1)
-        second = torch.lerp(gradients.planes**2, self._second, BETA2)
-        rates = torch.tensor(self._rates, device=planes.device)[:, None].repeat(1, planes.shape[1])
-        rates[MEAN] *= position_rate
-        corrected = second / (1 - BETA2**self._step)
-        update = rates * first / (1 - BETA1**self._step) / (corrected.sqrt() + EPSILON)
-        planes.sub_(torch.where(touched, update, 0.0))
-        self._first = torch.where(touched, first, self._first)
-        self._second = torch.where(touched, second, self._second)
+        first = torch.lerp(gradients.planes, gaussians.first_moment, BETA1)
+        second = torch.lerp(gradients.planes**2, gaussians.second_moment, BETA2)
+        rate = torch.tensor(rates, device=gaussians.device)[:, None].repeat(1, len(gaussians))
+        rate[MEAN] *= gaussians.birth_depth
+        corrected = second / (1 - BETA2**self.steps)
+        update = rate * first / (1 - BETA1**self.steps) / (corrected.sqrt() + EPSILON)
+        gaussians.planes.sub_(torch.where(touched, update, 0.0))
+        gaussians.first_moment.copy_(torch.where(touched, first, gaussians.first_moment))
+        gaussians.second_moment.copy_(torch.where(touched, second, gaussians.second_moment))

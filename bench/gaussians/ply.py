@@ -6,37 +6,81 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from plyfile import PlyData, PlyElement
+from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
 from bench.errors import BenchError
-from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION
-
-_COLUMNS = (
-    *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
-    *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+from bench.gaussians.schema import (
+    COLOR,
+    HARMONICS,
+    LOG_SCALE,
+    MAX_DEGREE,
+    MEAN,
+    OPACITY_LOGIT,
+    QUATERNION,
+    column_names,
+    degree_of,
+    planes_of,
 )
 
 
 def write_ply(path: Path, planes: Tensor) -> None:
-    """Write (14, N) parameters: positions, degree-0 harmonics, opacity logit, log scales, unit quaternions w x y z."""
+    """Write (P, N) parameters: positions, zero normals, harmonics, opacity logit, log scales, unit quaternions."""
     data = planes.detach().cpu()
-    quaternions = torch.nn.functional.normalize(data[QUATERNION], dim=0)
-    rows = torch.cat(
-        [data[MEAN], torch.zeros_like(data[MEAN]), data[COLOR], data[OPACITY_LOGIT][None], data[LOG_SCALE], quaternions]
-    )
-    table = np.empty(data.shape[1], dtype=[(name, "<f4") for name in _COLUMNS])
-    for name, row in zip(_COLUMNS, rows.numpy(), strict=True):
-        table[name] = row
+    names = column_names(degree_of(len(data)))
+    rows = dict(zip(names, data.numpy(), strict=True))
+    unit = torch.nn.functional.normalize(data[QUATERNION], dim=0)
+    rows |= zip(names[QUATERNION], unit.numpy(), strict=True)
+    rows |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(data.shape[1], np.float32))
+    table = np.empty(data.shape[1], dtype=[(name, "<f4") for name in _file_order(names)])
+    for name in table.dtype.names or ():
+        table[name] = rows[name]
     PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(str(path))
 
 
 def read_ply(path: Path) -> Tensor:
-    """Read a degree-0 map back as (14, N) parameters; raises ``BenchError`` for a file of another layout."""
-    vertex = PlyData.read(str(path))["vertex"]
-    missing = [name for name in _COLUMNS if name not in vertex.data.dtype.names]
+    """The (P, N) parameters in a map of any 3DGS program; ``BenchError`` for a damaged file or one of another kind."""
+    data = _vertices(path)
+    known = set(data.dtype.names or ())
+    harmonics = sum(name.startswith("f_rest_") for name in known)
+    degrees = {planes_of(degree) - planes_of(0): degree for degree in range(MAX_DEGREE + 1)}
+    if harmonics not in degrees:
+        expected = ", ".join(map(str, degrees))
+        raise BenchError(f"{path} has {harmonics} columns f_rest_*; a 3DGS map has one of {expected}.")
+    names = column_names(degrees[harmonics])
+    missing = [name for name in names if name not in known]
     if missing:
         raise BenchError(f"{path} is no 3DGS map: the columns {', '.join(missing)} are missing.")
-    by_name = {name: torch.from_numpy(np.array(vertex[name], np.float32)) for name in _COLUMNS}
-    order = ["x", "y", "z", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "opacity"]
-    return torch.stack([by_name[name] for name in [*order, "f_dc_0", "f_dc_1", "f_dc_2"]])
+    # Filled row by row: the file's columns lie interleaved.
+    planes = np.empty((len(names), len(data)), np.float32)
+    for plane, name in zip(planes, names, strict=True):
+        if data.dtype[name].kind not in "fiu":
+            raise BenchError(f"{path} is no 3DGS map: its column {name} holds lists and not numbers.")
+        plane[:] = data[name]
+    bad = np.flatnonzero(~np.isfinite(planes).all(0))
+    if len(bad):
+        name = names[int(np.flatnonzero(~np.isfinite(planes[:, bad[0]]))[0])]
+        raise BenchError(
+            f"{path} is damaged: {len(bad)} of {len(data)} Gaussians have values that are no numbers, first {name} "
+            f"of Gaussian {bad[0]}. Copy or make the map again."
+        )
+    return torch.from_numpy(planes)
+
+
+def _file_order(names: tuple[str, ...]) -> list[str]:
+    """The columns in the order in which 3DGS writes them, normals included."""
+    rest = sorted(names[HARMONICS], key=lambda name: int(name.removeprefix("f_rest_")))
+    last = (*names[COLOR], *rest, names[OPACITY_LOGIT], *names[LOG_SCALE], *names[QUATERNION])
+    return [*names[MEAN], "nx", "ny", "nz", *last]
+
+
+def _vertices(path: Path) -> np.ndarray:
+    """The table of vertices, (N,) with named columns."""
+    if not path.is_file():
+        raise BenchError(f"There is no map {path}.")
+    try:
+        return np.asarray(PlyData.read(str(path))["vertex"].data)
+    except KeyError as error:
+        raise BenchError(f"{path} is no 3DGS map: it has no element 'vertex'.") from error
+    except (PlyParseError, ValueError, MemoryError, OverflowError) as error:
+        raise BenchError(f"{path} is no PLY file, or damaged: {error}. Copy or make the map again.") from error

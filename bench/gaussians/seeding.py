@@ -9,29 +9,43 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bench.errors import BenchError
 from bench.gaussians.parameters import planes_from
+from bench.geometry import se3
 from bench.types import Image, Map, Mask, PinholeView
 
 
 @dataclass(frozen=True)
-class SeedConfig:
-    """How a keyframe's pixels become Gaussians.
-
-    ``stride``: every stride-th pixel in both directions. ``max_alpha``, ``min_error``: a pixel is not explained where
-    the map's alpha is below the one or its mean colour error above the other. ``size``: standard deviation along the
-    surface in units of the pixel's footprint times the stride; ``thickness``: across it, as a share of that.
-    ``fill_holes``: give pixels of unknown depth a smoothly filled one, for seeding only. ``sky_distance_m``: where
-    sky pixels are put (0 = no Gaussians for the sky).
-    """
+class SeedingConfig:
+    """How a keyframe's pixels become Gaussians."""
 
     stride: int = 2
+    """Every stride-th pixel in both directions."""
     max_alpha: float = 0.5
+    """A pixel is not explained yet where the map's alpha is below this."""
     min_error: float = 0.1
+    """A pixel is not explained yet where the mean colour error, of 0 to 1, is above this."""
     size: float = 0.6
+    """Standard deviation along the surface, in units of the pixel's footprint times the stride."""
     thickness: float = 0.2
+    """Standard deviation across the surface, as a share of that along it."""
     opacity: float = 0.5
+    """Opacity of new Gaussians."""
     fill_holes: bool = True
+    """Whether pixels of unknown depth get a smoothly filled one, for seeding only."""
     sky_distance_m: float = 200.0
+    """Where sky pixels are put, in metres (0: no Gaussians for the sky)."""
+
+    def __post_init__(self) -> None:
+        if self.stride < 1:
+            raise BenchError(f"mapper.seeding.stride={self.stride} must be at least 1.")
+        if not 0 < self.opacity < 1:
+            raise BenchError(f"mapper.seeding.opacity={self.opacity} must lie between 0 and 1.")
+        for name in ("size", "thickness"):
+            if not getattr(self, name) > 0:
+                raise BenchError(f"mapper.seeding.{name}={getattr(self, name)} must be above 0.")
+        if not self.sky_distance_m >= 0:
+            raise BenchError(f"mapper.seeding.sky_distance_m={self.sky_distance_m} must be 0 (no sky) or more metres.")
 
 
 def fill_inverse_depth(inverse: Map, known: Mask) -> Map:
@@ -67,32 +81,10 @@ def disc_axes(inverse: Map, view: PinholeView) -> Map:
 
 
 def _quaternions_from_z(normals: np.ndarray) -> np.ndarray:
-    """Shortest rotations (N, 4) w, x, y, z that turn the z axis to the unit ``normals`` (N, 3)."""
+    """Shortest rotations (N, 4) x, y, z, w that turn the z axis to the unit ``normals`` (N, 3)."""
     normals = np.where(normals[:, 2:] < 0, -normals, normals)
     q = np.stack([1 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(len(normals))], 1)
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
-
-
-def _multiply(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Quaternion products p q, (4,) by (N, 4)."""
-    w, x, y, z = p
-    return np.stack(
-        [
-            w * q[:, 0] - x * q[:, 1] - y * q[:, 2] - z * q[:, 3],
-            w * q[:, 1] + x * q[:, 0] + y * q[:, 3] - z * q[:, 2],
-            w * q[:, 2] - x * q[:, 3] + y * q[:, 0] + z * q[:, 1],
-            w * q[:, 3] + x * q[:, 2] - y * q[:, 1] + z * q[:, 0],
-        ],
-        1,
-    )
-
-
-def _quaternion_of(R: np.ndarray) -> np.ndarray:
-    """Unit quaternion w, x, y, z of a rotation matrix."""
-    rotation_vector = cv2.Rodrigues(R)[0][:, 0]
-    angle = float(np.linalg.norm(rotation_vector))
-    axis = rotation_vector / angle if angle > 1e-12 else np.zeros(3)
-    return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])
+    return np.roll(q / np.linalg.norm(q, axis=1, keepdims=True), -1, axis=1)
 
 
 def seed_gaussians(
@@ -101,9 +93,9 @@ def seed_gaussians(
     sky: Mask | None,
     unexplained: Mask,
     view: PinholeView,
-    config: SeedConfig,
+    config: SeedingConfig,
 ) -> tuple[Tensor, Tensor]:
-    """New Gaussians (14, N) for the unexplained pixels (H, W), and their depths (N,) in metres.
+    """New Gaussians (14, N), of degree 0, for the unexplained pixels (H, W), and their depths (N,) in metres.
 
     ``depth`` (H, W) metres is NaN where unknown or out of range; ``sky`` (H, W) or None.
     """
@@ -134,11 +126,12 @@ def seed_gaussians(
     z = 1.0 / inverse[v, u]
     points = np.stack([(u - view.cx) / view.fx * z, (v - view.cy) / view.fy * z, z], 1)
     # The inverse of the inverse, which differs from view.T_world_cam in the last bits: all kept results stand on it.
-    T_world_cam = np.linalg.inv(view.T_cam_world)
+    T_world_cam = np.asarray(np.linalg.inv(view.T_cam_world), np.float64)
     means = points @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
     sigma = config.size * config.stride * z / view.fx
     scales = np.stack([sigma, sigma, sigma * config.thickness], 1)
-    quaternions = _multiply(_quaternion_of(T_world_cam[:3, :3]), _quaternions_from_z(normals[v, u]))
+    turn = se3.rotation_to_quaternion_by_vector(T_world_cam[:3, :3])
+    quaternions = np.roll(se3.quaternion_product(turn, _quaternions_from_z(normals[v, u])), 1, axis=1)
     colors = image[v, u].astype(np.float32) / 255.0
     tensors = [torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in (means, scales, quaternions, colors)]
     opacities = torch.full((len(z),), config.opacity)

@@ -16,12 +16,11 @@ from bench.contracts.loss import LossTerm
 from bench.contracts.mapper import Mapper
 from bench.contracts.rasterizer import Rasterizer
 from bench.errors import BenchError
-from bench.gaussians.anchors import KeyframeAnchors
 from bench.gaussians.loss_stack import LossStack
+from bench.gaussians.map import GaussianMap
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
-from bench.gaussians.ply import write_ply
-from bench.gaussians.schema import OPACITY_LOGIT, planes_of
-from bench.gaussians.seeding import SeedConfig, seed_gaussians
+from bench.gaussians.schema import MAX_DEGREE, OPACITY_LOGIT
+from bench.gaussians.seeding import SeedingConfig, seed_gaussians
 from bench.registry import PluginConfig, register
 from bench.supervision.target import Target, target_of
 from bench.types import Event, Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
@@ -29,40 +28,50 @@ from bench.types import Event, Keyframe, MappingReport, PinholeView, RenderedVie
 
 @dataclass(frozen=True)
 class GaussianMapperConfig(PluginConfig):
-    """Settings of mapping; the defaults are those of ``system=bgs_slam``.
+    """Settings of mapping; the defaults are those of ``system=bgs_slam``."""
 
-    ``iterations``: rendered views when a keyframe arrives; ``final_iterations``: rendered views a keyframe at the end,
-    drawn from all keyframes alike. ``coarse_share``: the first part of a keyframe's iterations runs at half resolution.
-    A view is the newest keyframe with probability ``newest_share``, one of the window with ``window_share``, else an
-    older one. ``*_rate``: Adam's rates; the position's is metres a metre of depth. ``prune_opacity``: the removal
-    threshold of the paper ("Implementation Details"). ``depth_range_m``: stereo depth outside it neither seeds nor
-    supervises. ``cached_targets``: how many keyframes keep their derived images in memory. ``replayed_keyframes``: how
-    many keep their image and depth to be learned from again (3.7 MB each at KITTI's size); of more, those with the
-    closest neighbours are let go. ``follow_corrections_*``: Gaussians move with their keyframe once its pose has been
-    corrected by more than one of the two (0 = always, inf = never); following every small correction of local bundle
-    adjustment changes quality by less than 0.1 dB either way.
-    """
-
+    sh_degree: int = 0
+    """Degree of the spherical harmonics of the colours, 0 (one colour from all sides) to 3."""
     iterations: int = 24
+    """Rendered views when a keyframe arrives."""
     final_iterations: int = 12
+    """Rendered views per keyframe at the end, drawn from all keyframes alike."""
     coarse_share: float = 0.6
+    """The first part of a keyframe's iterations, which runs at half resolution."""
     newest_share: float = 0.3
+    """Probability that a view is the newest keyframe."""
     window_share: float = 0.5
+    """Probability that a view is another keyframe of the window; else it is an older one."""
     position_rate: float = 2e-4
+    """Adam's rate of positions, in metres per metre of depth at birth."""
     color_rate: float = 1e-2
+    """Adam's rate of colours; a twentieth of it for the harmonics of degree 1 and more."""
     opacity_rate: float = 5e-2
+    """Adam's rate of opacity logits."""
     scale_rate: float = 1e-2
+    """Adam's rate of log scales."""
     rotation_rate: float = 1e-3
+    """Adam's rate of quaternions."""
     prune_opacity: float = 5e-3
+    """Gaussians below this opacity are removed (paper, "Implementation Details")."""
     depth_range_m: tuple[float, float] = (0.5, 80.0)
+    """Stereo depth outside [near, far] neither seeds nor supervises."""
     cached_targets: int = 12
+    """How many keyframes keep their derived images in memory."""
     replayed_keyframes: int = 1000
+    """How many keyframes keep their image and depth to be learned from again (3.7 MB each at KITTI's size); of more,
+    those with the closest neighbours are let go."""
     follow_corrections_m: float = 0.01
+    """Gaussians move with their keyframe once its pose has been corrected by more metres (0: always, inf: never);
+    following every small correction of local bundle adjustment changes quality by less than 0.1 dB either way."""
     follow_corrections_deg: float = 0.05
-    seed: SeedConfig = field(default_factory=SeedConfig)
+    """The same in degrees; one of the two is enough."""
+    seeding: SeedingConfig = field(default_factory=SeedingConfig)
+    """Where new Gaussians start."""
 
-    def check(self) -> None:
-        """Raise ``BenchError`` for settings that make no sense."""
+    def __post_init__(self) -> None:
+        if not 0 <= self.sh_degree <= MAX_DEGREE:
+            raise BenchError(f"mapper.sh_degree={self.sh_degree} must be 0 to {MAX_DEGREE}.")
         if self.iterations < 1 or self.final_iterations < 0:
             raise BenchError("mapper.iterations must be at least 1 and mapper.final_iterations at least 0.")
         if min(self.newest_share, self.window_share) < 0 or self.newest_share + self.window_share > 1:
@@ -79,8 +88,6 @@ class GaussianMapperConfig(PluginConfig):
             raise BenchError(
                 "mapper.follow_corrections_m and mapper.follow_corrections_deg must be 0 (always) or more (inf: never)."
             )
-        if self.seed.stride < 1:
-            raise BenchError(f"mapper.seed.stride={self.seed.stride} must be at least 1.")
 
 
 @register("mapper", "gaussian", config=GaussianMapperConfig)
@@ -88,19 +95,15 @@ class GaussianMapper(Mapper):
     """BGS-SLAM's mapping: seeds from stereo depth, the loss terms of the run, a window of keyframes plus replay."""
 
     def __init__(self, config: GaussianMapperConfig) -> None:
-        config.check()
         self.config = config
 
     def start(self, camera: StereoCamera, rasterizer: Rasterizer, losses: Sequence[LossTerm], seed: int) -> None:
         c = self.config
         self._camera, self._rasterizer, self._losses = camera, rasterizer, LossStack(losses)
         self._random = np.random.default_rng(seed)
-        device = rasterizer.device
         rates = LearningRates(c.position_rate, c.color_rate, c.opacity_rate, c.scale_rate, c.rotation_rate)
-        self._optimizer = MapOptimizer(rates, device)
-        self._planes = torch.zeros(planes_of(0), 0, device=device)
-        self._birth_depth = torch.zeros(0, device=device)
-        self._anchors = KeyframeAnchors(c.follow_corrections_m, c.follow_corrections_deg)
+        self._optimizer = MapOptimizer(rates)
+        self._map = GaussianMap(c.sh_degree, rasterizer.device)
         self._keyframes: dict[int, Keyframe] = {}
         self._targets: OrderedDict[int, tuple[Target, Target]] = OrderedDict()
         self._final_done = 0
@@ -108,7 +111,7 @@ class GaussianMapper(Mapper):
 
     @property
     def gaussians(self) -> int:
-        return self._planes.shape[1]
+        return len(self._map)
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
         number = keyframe.frame.number
@@ -121,14 +124,15 @@ class GaussianMapper(Mapper):
             values = self._iterate(self._choose(number, window), half=iteration < coarse) or values
         self._prune()
         psnr_db, events = self._psnr(number), self._events(number)
-        return MappingReport(psnr_db, self.gaussians, self.config.iterations, values, events)
+        return MappingReport(psnr_db, self.gaussians, values, events)
 
     def update_poses(self, trajectory: Trajectory) -> None:
         for number, pose in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
             known = self._keyframes.get(number)
             if known is not None and not np.array_equal(known.T_world_cam, pose):
                 self._keyframes[number] = replace(known, T_world_cam=pose)
-        motion = self._anchors.follow(trajectory, self._planes, self._optimizer)
+        c = self.config
+        motion = self._map.follow(trajectory, c.follow_corrections_m, c.follow_corrections_deg)
         if motion.keyframes:
             self._happened.append(("map_moved", asdict(motion)))
 
@@ -149,10 +153,8 @@ class GaussianMapper(Mapper):
 
     def state(self) -> dict[str, Any]:
         return {
-            "planes": self._planes.cpu(),
-            "birth_depth": self._birth_depth.cpu(),
-            "optimizer": self._optimizer.state(),
-            "anchors": self._anchors.state(),
+            "map": self._map.state(),
+            "optimizer_steps": self._optimizer.steps,
             "poses": {number: torch.from_numpy(known.T_world_cam) for number, known in self._keyframes.items()},
             "final_done": self._final_done,
             # Numbers of 128 bits, which a restricted unpickler need not know.
@@ -164,20 +166,18 @@ class GaussianMapper(Mapper):
             pose = state["poses"].get(keyframe.frame.number)
             if pose is not None:
                 self._keyframes[keyframe.frame.number] = _without_right(replace(keyframe, T_world_cam=pose.numpy()))
-        device = self._planes.device
-        self._planes, self._birth_depth = state["planes"].to(device), state["birth_depth"].to(device)
-        self._optimizer.restore(state["optimizer"])
-        self._anchors.restore(state["anchors"])
+        self._map.restore(state["map"])
+        self._optimizer.steps = state["optimizer_steps"]
         self._final_done = state["final_done"]
         self._random.bit_generator.state = json.loads(state["random"])
 
     def render(self, view: PinholeView) -> RenderedView:
-        rendered = self._rasterizer.render(self._planes, view, differentiable=False)
+        rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
         color = rendered.color.clamp(0.0, 1.0).permute(1, 2, 0).float().cpu().numpy()
         return RenderedView(color, rendered.depth.float().cpu().numpy(), rendered.alpha.float().cpu().numpy())
 
     def save(self, path: Path) -> None:
-        write_ply(path, self._planes)
+        self._map.save(path)
 
     def _let_go(self, window: Sequence[int]) -> None:
         """Forget what is beyond ``replayed_keyframes``: the keyframe whose neighbours are closest in frame numbers."""
@@ -198,9 +198,8 @@ class GaussianMapper(Mapper):
         """The cached target of a keyframe; the least recently used one is dropped."""
         pair = self._targets.pop(number, None)
         if pair is None:
-            full = target_of(
-                self._keyframes[number], self._view(number), self.config.depth_range_m, self._planes.device
-            )
+            view, device = self._view(number), self._map.device
+            full = target_of(self._keyframes[number], view, self.config.depth_range_m, device)
             pair = (full, full.halved())
         self._targets[number] = pair
         while len(self._targets) > self.config.cached_targets:
@@ -222,10 +221,10 @@ class GaussianMapper(Mapper):
         """One render of a keyframe, its losses, and one step of the optimizer."""
         target = self._target(number, half)
         view = self._view(number)
-        rendered = self._rasterizer.render(self._planes, view.halved() if half else view)
+        rendered = self._rasterizer.render(self._map.planes, view.halved() if half else view)
         values, gradients = self._losses.evaluate(rendered, target)
         by_parameters = self._rasterizer.backward(rendered, *gradients)
-        self._optimizer.step(self._planes, by_parameters, self._birth_depth)
+        self._optimizer.step(self._map, by_parameters)
         return values
 
     def _seed(self, keyframe: Keyframe) -> None:
@@ -234,26 +233,20 @@ class GaussianMapper(Mapper):
         view, target = self._view(number), self._target(number, half=False)
         unexplained = np.ones(keyframe.depth.depth.shape, bool)
         if self.gaussians:
-            rendered = self._rasterizer.render(self._planes, view, differentiable=False)
+            rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
             error = (rendered.color - target.image).abs().mean(0)
-            unexplained = ((rendered.alpha < c.seed.max_alpha) | (error > c.seed.min_error)).cpu().numpy()
+            unexplained = ((rendered.alpha < c.seeding.max_alpha) | (error > c.seeding.min_error)).cpu().numpy()
         depth = np.where(target.depth_mask.cpu().numpy(), keyframe.depth.depth, np.nan)
-        planes, depths = seed_gaussians(keyframe.frame.left, depth, keyframe.sky, unexplained, view, c.seed)
-        self._planes = torch.cat([self._planes, planes.to(self._planes.device)], 1)
-        self._birth_depth = torch.cat([self._birth_depth, depths.to(self._planes.device)])
-        self._optimizer.grow(len(depths))
-        self._anchors.add(number, self._keyframes[number].T_world_cam, len(depths))
+        planes, depths = seed_gaussians(keyframe.frame.left, depth, keyframe.sky, unexplained, view, c.seeding)
+        self._map.add(number, self._keyframes[number].T_world_cam, planes, depths)
 
     def _prune(self) -> None:
         """Remove Gaussians below the opacity threshold (paper, "Implementation Details")."""
-        keep = torch.sigmoid(self._planes[OPACITY_LOGIT]) >= self.config.prune_opacity
+        keep = torch.sigmoid(self._map.planes[OPACITY_LOGIT]) >= self.config.prune_opacity
         if bool(keep.all()):
             return
         self._happened.append(("pruned", {"count": int((~keep).sum())}))
-        self._planes = self._planes[:, keep].contiguous()
-        self._birth_depth = self._birth_depth[keep]
-        self._optimizer.keep(keep)
-        self._anchors.keep(keep)
+        self._map.keep(keep)
 
     def _events(self, number: int) -> tuple[Event, ...]:
         """What happened to the map since this was asked last; keyframe ``number`` is the newest."""
@@ -262,7 +255,7 @@ class GaussianMapper(Mapper):
         return events
 
     def _psnr(self, number: int) -> float:
-        rendered = self._rasterizer.render(self._planes, self._view(number), differentiable=False)
+        rendered = self._rasterizer.render(self._map.planes, self._view(number), differentiable=False)
         error = rendered.color.clamp(0.0, 1.0) - self._target(number, half=False).image
         return float(-10.0 * torch.log10((error * error).mean().clamp_min(1e-10)))
 

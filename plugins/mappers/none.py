@@ -27,7 +27,7 @@ class NoMapper(Mapper):
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
         """Nothing is learnt."""
-        return MappingReport(float("nan"), 0, 0)
+        return MappingReport(float("nan"), 0)
 
     def update_poses(self, trajectory: Trajectory) -> None:
         """There is nothing that could move."""

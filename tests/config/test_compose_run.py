@@ -27,12 +27,12 @@ REFUSED = {
     "system=bgs_slan": r"system='bgs_slan' is not one of bgs_slam, .*Did you mean 'bgs_slam'\?",
     "protocol=papr": r"protocol='papr' is not one of ",
     "stereo.num_disparites=96": r"stereo has no setting 'num_disparites'; there are .*Did you mean 'num_disparities'\?",
-    "mapper.seed.strid=3": r"mapper\.seed has no setting 'strid'; there are .*Did you mean 'stride'\?",
+    "mapper.seeding.strid=3": r"mapper\.seeding has no setting 'strid'; there are .*Did you mean 'stride'\?",
     "loss.geo.weigth=2": r"loss\.geo has no setting 'weigth'; there are .*Did you mean 'weight'\?",
     "sed=3": r"There is no setting 'sed'; there are .*Did you mean 'seed'\?",
     "+sed=3": r"There is no setting 'sed'; there are .*Did you mean 'seed'\?",
     "+stereo.num=3": r"stereo=sgbm has no setting 'num'; it has ",
-    "+mapper.seed.num=3": r"mapper.*num",
+    "+mapper.seeding.num=3": r"mapper.*num",
     "stereo.num_disparities=many": r"stereo\.num_disparities=many: .*'many'.* Integer",
     "mapper.depth_range_m=[1]": r"mapper\.depth_range_m=\[1\.0\] has 1 values; give 2",
     "seed=abc": r"seed=abc: .*'abc'.* Integer",
@@ -71,12 +71,14 @@ def test_refused_with_one_readable_line(override: str) -> None:
 
 
 def test_values_arrive_typed() -> None:
-    config = compose_run(["stereo.num_disparities=96", "mapper.seed.stride=3", "mapper.depth_range_m=[1,50]", "seed=4"])
+    config = compose_run(
+        ["stereo.num_disparities=96", "mapper.seeding.stride=3", "mapper.depth_range_m=[1,50]", "seed=4"]
+    )
     stereo = config.plugin("stereo")
     assert isinstance(stereo, SgbmConfig)
     assert stereo.num_disparities == 96
     mapper = config.plugin("mapper")
-    assert mapper.seed.stride == 3  # type: ignore[attr-defined]
+    assert mapper.seeding.stride == 3  # type: ignore[attr-defined]
     assert list(mapper.depth_range_m) == [1.0, 50.0]  # type: ignore[attr-defined]
     assert config.values["seed"] == 4
 
@@ -107,7 +109,8 @@ def test_hash_does_not_depend_on_order_place_or_rerun(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", ["seed=2", "stereo.num_disparities=128", "mapper.seed.stride=5", "loss.rgb.weight=0.7", "loss=[rgb,geo]"]
+    "change",
+    ["seed=2", "stereo.num_disparities=128", "mapper.seeding.stride=5", "loss.rgb.weight=0.7", "loss=[rgb,geo]"],
 )
 def test_hash_changes_with_a_value(change: str) -> None:
     assert compose_run([change]).hash != compose_run([]).hash

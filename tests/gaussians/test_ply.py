@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,24 @@ def test_round_trip(tmp_path: Path) -> None:
     assert PlyData.read(str(tmp_path / "map.ply"))["vertex"].count == 100
 
 
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_harmonics_are_written_channel_by_channel(tmp_path: Path, degree: int) -> None:
+    """3DGS keeps all coefficients of red, then green, then blue; we keep them coefficient by coefficient."""
+    each = (degree + 1) ** 2 - 1
+    planes = torch.randn(14 + 3 * each, 5, generator=torch.Generator().manual_seed(0))
+    write_ply(tmp_path / "map.ply", planes)
+    vertex = PlyData.read(str(tmp_path / "map.ply"))["vertex"].data
+    rest = [f"f_rest_{k}" for k in range(3 * each)]
+    assert list(vertex.dtype.names) == [*STANDARD[:9], *rest, *STANDARD[9:]]
+    for coefficient in range(1, each + 1):
+        for channel in range(3):
+            column = vertex[f"f_rest_{channel * each + coefficient - 1}"]
+            np.testing.assert_array_equal(column, planes[14 + 3 * (coefficient - 1) + channel])
+    back = read_ply(tmp_path / "map.ply")
+    assert torch.equal(back[14:], planes[14:])
+    assert torch.equal(back[:6], planes[:6])
+
+
 def test_an_empty_map(tmp_path: Path) -> None:
     write_ply(tmp_path / "map.ply", torch.zeros(14, 0))
     assert read_ply(tmp_path / "map.ply").shape == (14, 0)
@@ -65,5 +84,40 @@ def test_an_empty_map(tmp_path: Path) -> None:
 def test_another_layout_is_refused(tmp_path: Path) -> None:
     points = np.zeros(2, dtype=[(name, "<f4") for name in ("x", "y", "z")])
     PlyData([PlyElement.describe(points, "vertex")]).write(str(tmp_path / "cloud.ply"))
-    with pytest.raises(BenchError, match=r"cloud.ply is no 3DGS map: the columns nx, .* are missing"):
+    with pytest.raises(BenchError, match=r"cloud.ply is no 3DGS map: the columns scale_0, .* are missing"):
         read_ply(tmp_path / "cloud.ply")
+
+
+@pytest.mark.parametrize("column", ["f_rest_0", "f_rest_8"])
+def test_an_impossible_number_of_harmonics_is_refused(tmp_path: Path, column: str) -> None:
+    table = np.zeros(2, dtype=[(name, "<f4") for name in (*STANDARD, column)])
+    PlyData([PlyElement.describe(table, "vertex")]).write(str(tmp_path / "map.ply"))
+    with pytest.raises(BenchError, match=r"has 1 columns f_rest_\*; a 3DGS map has one of 0, 9, 24, 45"):
+        read_ply(tmp_path / "map.ply")
+
+
+@pytest.mark.parametrize(
+    ("damage", "text"),
+    [
+        (lambda content: content[:-30], "no PLY file, or damaged: .*early end-of-file"),
+        (lambda content: content.replace(b"property float y", b"propertx float y"), "no PLY file, or damaged: line"),
+        (lambda content: content.replace(b"property float y", b"prop\n\xd6rty float y"), "no PLY file, or damaged"),
+        (lambda content: content.replace(b"vertex", b"vortex"), "no element 'vertex'"),
+        (lambda content: content.replace(b"vertex 1\n", b"vertex 999999999999999\n"), "no PLY file, or damaged"),
+        (lambda content: b"\x89PNG\r\n\x1a\n", "no PLY file, or damaged"),
+        (lambda content: b"", "no PLY file, or damaged"),
+        (lambda content: content[:-4] + np.float32("nan").tobytes(), "1 of 1 Gaussians .* rot_3 of Gaussian 0"),
+        (lambda content: content.replace(b"property float y", b"property list uchar float y"), "map.ply"),
+    ],
+)
+def test_damaged_files_are_named_in_one_sentence(tmp_path: Path, damage: Callable[[bytes], bytes], text: str) -> None:
+    path = tmp_path / "map.ply"
+    write_ply(path, one_gaussian())
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(BenchError, match=text):
+        read_ply(path)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match=r"There is no map .*none.ply"):
+        read_ply(tmp_path / "none.ply")

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from bench.contracts.rasterizer import Gradients, Rendered
 from bench.gaussians.loss_stack import LossStack
+from bench.gaussians.map import GaussianMap
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
 from bench.registry import lookup
 from bench.supervision.ssim import local_statistics, ssim
@@ -38,14 +39,14 @@ def whole_iteration(rasterizer: CpuRasterizer, planes: Tensor) -> Callable[[], N
     everywhere = torch.ones(*SIZE, dtype=torch.bool)
     target = Target(torch.rand(3, *SIZE, generator=generator), depth, everywhere, VIEW)
     losses = LossStack([lookup("loss", n).cls(lookup("loss", n).config(name=n)) for n in ("rgb", "ssim", "geo")])
-    optimizer = MapOptimizer(LearningRates(0.0, 0.0, 0.0, 0.0, 0.0), torch.device("cpu"))
-    optimizer.grow(planes.shape[1])
-    position_rate = torch.ones(planes.shape[1])
+    optimizer = MapOptimizer(LearningRates(0.0, 0.0, 0.0, 0.0, 0.0))
+    gaussians = GaussianMap(0, torch.device("cpu"))
+    gaussians.add(0, VIEW.T_world_cam, planes, torch.ones(planes.shape[1]))
 
     def run() -> None:
-        rendered: Rendered = rasterizer.render(planes, VIEW)
+        rendered: Rendered = rasterizer.render(gaussians.planes, VIEW)
         _, gradients = losses.evaluate(rendered, target)
-        optimizer.step(planes, rasterizer.backward(rendered, *gradients), position_rate)
+        optimizer.step(gaussians, rasterizer.backward(rendered, *gradients))
 
     return run
 

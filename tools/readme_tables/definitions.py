@@ -38,7 +38,7 @@ _SETTINGS = (
     "system=bgs_slam stereo=lidar",
     "system=bgs_slam_paper",
     "system=bgs_slam_paper stereo=lidar",
-    "system=bgs_slam_paper mapper.seed.fill_holes=true mapper.seed.sky_distance_m=200",
+    "system=bgs_slam_paper mapper.seeding.fill_holes=true mapper.seeding.sky_distance_m=200",
 )
 _TRAIN = ("views.train.psnr_db", "views.train.ssim", "views.train.lpips")
 _MEASURED = (

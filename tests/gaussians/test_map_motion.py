@@ -103,12 +103,12 @@ def test_pruning_does_not_mix_up_whose_gaussians_they_are(tmp_path: Path) -> Non
     mapper, ranges = seeded()
     mapper.config = replace(mapper.config, prune_opacity=5e-3)
     random = np.random.default_rng(3)
-    mapper._planes[COLOR] = 0.0
-    mapper._planes[COLOR, ranges[2]] = 0.7
+    mapper._map.planes[COLOR] = 0.0
+    mapper._map.planes[COLOR, ranges[2]] = 0.7
     doomed = random.choice(mapper.gaussians, mapper.gaussians // 3, replace=False)
-    mapper._planes[OPACITY_LOGIT], mapper._planes[OPACITY_LOGIT, doomed] = 0.0, -9.0
+    mapper._map.planes[OPACITY_LOGIT], mapper._map.planes[OPACITY_LOGIT, doomed] = 0.0, -9.0
     mapper._prune()
-    of_second = mapper._planes[COLOR.start].numpy() > 0.5
+    of_second = mapper._map.planes[COLOR.start].numpy() > 0.5
     assert 0 < of_second.sum() < ranges[2].stop - ranges[2].start
     means, _ = in_ply(mapper, tmp_path)
     mapper.update_poses(trajectory({2: axis_turn((0, 1, 0), 0.0, (0.5, 0.0, 0.0))}))

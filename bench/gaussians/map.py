@@ -1,0 +1,197 @@
+"""The map as one thing: every column of its Gaussians, and all that grows, shrinks, splits or moves them."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bench.gaussians.ply import read_ply, write_ply
+from bench.gaussians.schema import MEAN, QUATERNION, degree_of, planes_of
+from bench.geometry import se3
+from bench.types import Float, Trajectory
+
+_COLUMNS = ("planes", "first_moment", "second_moment", "birth_depth", "anchor")
+
+
+@dataclass(frozen=True)
+class MapMotion:
+    """What moved: keyframes, their Gaussians, and the largest move of a keyframe in metres and in degrees."""
+
+    keyframes: int
+    gaussians: int
+    largest_m: float
+    largest_deg: float
+
+
+class GaussianMap:
+    """N Gaussians; the last axis of each column has one entry per Gaussian.
+
+    ``planes`` (P, N): the parameters (``bench/gaussians/schema.py``). ``first_moment``, ``second_moment`` (P, N):
+    Adam's. ``birth_depth`` (N,): metres from the camera when it was seeded. ``anchor`` (N,) int32: which keyframe
+    seeded it, as an index of the keyframes that were added, or -1. Gaussians of one keyframe are neighbours, in the
+    order of the keyframes. Values may be changed in place; columns are not replaced from outside.
+    """
+
+    planes: Tensor
+    first_moment: Tensor
+    second_moment: Tensor
+    birth_depth: Tensor
+    anchor: Tensor
+
+    def __init__(self, sh_degree: int, device: torch.device) -> None:
+        for name in ("planes", "first_moment", "second_moment"):
+            setattr(self, name, torch.zeros(planes_of(sh_degree), 0, device=device))
+        self.birth_depth = torch.zeros(0, device=device)
+        self.anchor = torch.zeros(0, dtype=torch.int32, device=device)
+        self._numbers = np.zeros(0, dtype=np.int64)
+        self._T_world_cam = np.zeros((0, 4, 4))
+
+    def __len__(self) -> int:
+        return self.planes.shape[1]
+
+    @property
+    def device(self) -> torch.device:
+        """Where all columns are."""
+        return self.planes.device
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
+        return degree_of(len(self.planes))
+
+    def add(self, number: int, T_world_cam: Float, planes: Tensor, depths: Tensor) -> None:
+        """New Gaussians of keyframe ``number`` at this pose (4, 4), seen at ``depths`` (M,) metres.
+
+        ``planes`` (P', M) may have a lower degree than the map; the missing harmonics are zero.
+        """
+        anchor = torch.full((len(depths),), len(self._numbers), dtype=torch.int32, device=self.device)
+        self._numbers = np.append(self._numbers, number)
+        self._T_world_cam = np.concatenate([self._T_world_cam, T_world_cam[None]])
+        self._append(planes, depths, anchor)
+
+    def keep(self, which: Tensor) -> None:
+        """Drop all Gaussians but those of the (N,) bool mask, or of the indices (M,)."""
+        for name in _COLUMNS:
+            setattr(self, name, getattr(self, name)[..., which].contiguous())
+
+    def replace(self, gone: Tensor, children: Tensor, parents: Tensor) -> None:
+        """Put ``children`` (P', M) in, and take out those of the (N,) bool mask ``gone``.
+
+        ``parents`` (M,): index of the Gaussian whose keyframe and birth depth each child inherits. A split names the
+        parents in ``gone`` too, a clone does not. Adam's moments of the children are zero.
+        """
+        depths, anchor = self.birth_depth[parents], self.anchor[parents]
+        self.keep(~gone)
+        self._append(children, depths, anchor)
+        self.keep(torch.argsort(self.anchor, stable=True))
+
+    def select(self, which: Tensor | slice) -> GaussianMap:
+        """A map of some Gaussians by mask, indices or slice, which shares no memory with this one."""
+        chosen = copy.copy(self)
+        chosen.keep(torch.arange(len(self), device=self.device)[which])
+        return chosen
+
+    def follow(self, trajectory: Trajectory, least_m: float, least_deg: float) -> MapMotion:
+        """Move Gaussians rigidly with their keyframes to where the trajectory has these now; Adam's moments turn too.
+
+        A keyframe's Gaussians follow once its pose differs from the one they stand for by more than ``least_m`` metres
+        or ``least_deg`` degrees; until then the difference adds up. A keyframe that the trajectory lacks stays.
+        """
+        anchors, places = _matches(self._numbers, trajectory.numbers)
+        old, new = self._T_world_cam[anchors], trajectory.T_world_cam[places]
+        moved_m = np.linalg.norm(new[:, :3, 3] - old[:, :3, 3], axis=1)
+        moved_deg = np.rad2deg(se3.rotation_angle(np.swapaxes(old[:, :3, :3], 1, 2) @ new[:, :3, :3]))
+        moves = (new != old).any(axis=(1, 2)) & ((moved_m > least_m) | (moved_deg > least_deg))
+        rows = torch.arange(len(self._numbers) + 1, dtype=torch.int32, device=self.device)
+        ends = torch.searchsorted(self.anchor, rows).cpu().numpy()
+        for anchor, before, after in zip(anchors[moves], old[moves], new[moves], strict=True):
+            self._move(slice(int(ends[anchor]), int(ends[anchor + 1])), before, after)
+        self._T_world_cam = self._T_world_cam.copy()  # a selection may share it
+        self._T_world_cam[anchors[moves]] = new[moves]
+        return MapMotion(
+            keyframes=int(moves.sum()),
+            gaussians=int(np.diff(ends)[anchors[moves]].sum()),
+            largest_m=float(moved_m[moves].max(initial=0.0)),
+            largest_deg=float(moved_deg[moves].max(initial=0.0)),
+        )
+
+    def state(self) -> dict[str, Any]:
+        """All columns, and numbers (K,) and poses (K, 4, 4) of the keyframes, as CPU tensors."""
+        columns = {name: getattr(self, name).cpu() for name in _COLUMNS}
+        return columns | {
+            "numbers": torch.from_numpy(self._numbers),
+            "T_world_cam": torch.from_numpy(self._T_world_cam),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what ``state`` gave."""
+        device = self.device
+        for name in _COLUMNS:
+            setattr(self, name, state[name].to(device))
+        self._numbers, self._T_world_cam = state["numbers"].numpy(), state["T_world_cam"].numpy()
+
+    def save(self, path: Path) -> None:
+        """Write the parameters as a PLY file in the layout of 3DGS."""
+        write_ply(path, self.planes)
+
+    @classmethod
+    def load(cls, path: Path) -> GaussianMap:
+        """A map that ``save`` or another 3DGS program wrote, on the CPU; ``BenchError`` for a file that is none.
+
+        The file has the parameters alone: moments are zero, birth depths NaN, and no Gaussian has a keyframe.
+        """
+        planes = read_ply(path)
+        loaded = cls(degree_of(len(planes)), planes.device)
+        count = planes.shape[1]
+        loaded._append(planes, torch.full((count,), torch.nan), torch.full((count,), -1, dtype=torch.int32))
+        return loaded
+
+    def _append(self, planes: Tensor, depths: Tensor, anchor: Tensor) -> None:
+        missing = len(self.planes) - len(planes)
+        planes = torch.nn.functional.pad(planes.to(self.device), (0, 0, 0, missing))
+        moments = torch.zeros_like(planes)
+        new = (planes, moments, moments, depths.to(self.device), anchor)
+        for name, values in zip(_COLUMNS, new, strict=True):
+            setattr(self, name, torch.cat([getattr(self, name), values], -1))
+
+    def _move(self, which: slice, before: Float, after: Float) -> None:
+        """Apply the motion that takes pose ``before`` to pose ``after`` to some Gaussians: x -> R x + t, q -> r q."""
+        R = after[:3, :3] @ before[:3, :3].T
+
+        def tensor(values: Float) -> Tensor:
+            return torch.from_numpy(values.astype(np.float32)).to(self.device)
+
+        # As a small change of position, turned about the camera: far from the origin float32 has no digits to lose.
+        about, shift = tensor(before[:3, 3:]), tensor(after[:3, 3:] - before[:3, 3:])
+        self.planes[MEAN, which] += tensor(R - np.eye(3)) @ (self.planes[MEAN, which] - about) + shift
+        self._turn_moments(MEAN, which, tensor(R))
+        # The product r q as a matrix; it is orthogonal, so the length of q, which is free, stays.
+        columns = se3.quaternion_product(se3.rotation_to_quaternion(R), np.eye(4))
+        product = tensor(np.roll(columns.T, 1, axis=(0, 1)))  # from x y z w to w x y z
+        self.planes[QUATERNION, which] = product @ self.planes[QUATERNION, which]
+        self._turn_moments(QUATERNION, which, product)
+
+    def _turn_moments(self, planes: slice, which: slice, matrix: Tensor) -> None:
+        """The K parameters ``planes`` of the Gaussians ``which`` have been multiplied by an orthogonal (K, K) matrix.
+
+        Gradients turn with the parameters, and so does their mean, the first moment. Of their second moments Adam knows
+        only the diagonal; it turns as if the gradient's components were uncorrelated.
+        """
+        self.first_moment[planes, which] = matrix @ self.first_moment[planes, which]
+        self.second_moment[planes, which] = matrix.square() @ self.second_moment[planes, which]
+
+
+def _matches(numbers: np.ndarray, of_trajectory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices i, j of all pairs ``numbers[i] == of_trajectory[j]``; the second is without repetitions."""
+    order = np.argsort(of_trajectory)
+    at = np.searchsorted(of_trajectory, numbers, sorter=order)
+    known = np.flatnonzero(at < len(order))
+    places = order[at[known]]
+    same = of_trajectory[places] == numbers[known]
+    return known[same], places[same]
