@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
 from collections.abc import Callable, Iterator
@@ -10,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench.errors import BenchError
+from bench.io.file_lock import holder, lock, open_lock, write_holder
 from bench.runs.config_file import CONFIG_FILE
 
 LOCK_FILE = ".lock"
@@ -42,7 +42,7 @@ def _locked(folder: Path, on_wait: Callable[[str], None]) -> int:
     while True:
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            file = open_lock(path)
         except OSError as error:
             if folder.exists() and not folder.is_dir():
                 raise BenchError(f"output={folder} is a file. Name a folder that is empty or not there yet.") from error
@@ -61,17 +61,14 @@ def _locked(folder: Path, on_wait: Callable[[str], None]) -> int:
 
 def _acquire(file: int, folder: Path, on_wait: Callable[[str], None]) -> None:
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        who = os.pread(file, 100, 0).decode(errors="replace").strip()
-        on_wait(f"process {who}" if who else "another process")
-        fcntl.flock(file, fcntl.LOCK_EX)
+        if not lock(file, wait=False):
+            on_wait(holder(file))
+            lock(file, wait=True)
     except OSError as error:
         log.warning("no lock on %s (%s): don't start the same run twice", folder, error.strerror)
         return
     try:
-        os.ftruncate(file, 0)
-        os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+        write_holder(file, os.getpid())
     except OSError:
         log.debug("the lock file of %s can't be written: those who wait won't be told for whom", folder)
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from pathlib import Path
 
 from bench.errors import BenchError
+from bench.io.file_lock import holder, is_locked, lock, open_lock, write_holder
 
 SWEEP_FOLDER = ".sweep"
 """Beside the run folders: a lock and a log for each run that was started."""
@@ -28,14 +28,12 @@ class Claim:
         path = claim_path(run_folder, "lock")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            fd = open_lock(path)
         except OSError as error:
             raise BenchError(
                 f"Can't make {path}: {error.strerror}. Give output= a place that you may write to."
             ) from error
-        try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not lock(fd, wait=False):
             os.close(fd)
             return None
         claim = cls(fd)
@@ -52,8 +50,7 @@ class Claim:
         Raises ``BenchError`` where that can't be written.
         """
         try:
-            os.ftruncate(self.fd, 0)
-            os.pwrite(self.fd, f"{pid}\n".encode(), 0)
+            write_holder(self.fd, pid)
         except OSError as error:
             raise BenchError(f"Can't write a sweep's lock file: {error.strerror}. Check the free space.") from error
 
@@ -64,23 +61,13 @@ class Claim:
 
 def is_claimed(run_folder: Path) -> bool:
     """Whether some process has claimed the run."""
-    try:
-        fd = os.open(claim_path(run_folder, "lock"), os.O_RDONLY | os.O_CLOEXEC)
-    except FileNotFoundError:
-        return False
-    try:
-        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(fd)
-    return False
+    return is_locked(claim_path(run_folder, "lock"))
 
 
 def claimed_by(run_folder: Path) -> str:
     """Who has claimed the run, in words."""
-    text = claim_path(run_folder, "lock").read_text().strip()
-    return f"process {text}" if text else "another process"
+    with claim_path(run_folder, "lock").open() as file:
+        return holder(file.fileno())
 
 
 def claim_path(run_folder: Path, what: str) -> Path:

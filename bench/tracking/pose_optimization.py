@@ -10,10 +10,6 @@ from bench import _native
 from bench.geometry import se3
 from bench.types import Float, Mask, StereoCamera
 
-CHI2_MONO = 5.991
-"""95 % quantile of chi-square with 2 degrees of freedom: gate of an observation without disparity."""
-CHI2_STEREO = 7.815
-"""The same with 3 degrees of freedom: gate of an observation with disparity."""
 _ROUNDS = 3
 _ITERATIONS = 4
 
@@ -26,11 +22,6 @@ class Observations:
     uv: Float
     disparity: Float
     weight: Float
-
-    @property
-    def gate(self) -> Float:
-        """Chi-square gate (M,) of each observation."""
-        return np.where(np.isnan(self.disparity), CHI2_MONO, CHI2_STEREO)
 
     @property
     def table(self) -> Float:
@@ -83,10 +74,10 @@ def optimise_pose(
     """Gauss-Newton over the pose of one frame, from ``T_cam_world`` (4, 4); ``points`` (M, 3) in the world stay fixed.
 
     Residuals are measured minus projected (uL, v, uR) in pixels; without disparity the third is left out. Paper, Eq.
-    "frame-level BA". Rounds of iterations with Huber's loss; after each round the observations beyond their chi-square
-    gate are put aside (and may come back). The last round has no robust loss. With ``gate_first`` they are put aside
-    from the beginning: for a start that is already good, where most observations may be wrong. Never fails: with too
-    few inliers (the caller checks) the pose is whatever was found.
+    "frame-level BA". Rounds of iterations with Huber's loss; after each round the observations beyond the 95 % quantile
+    of chi-square (5.991 without, 7.815 with disparity) are put aside (and may come back). The last round has no robust
+    loss. With ``gate_first`` they are put aside from the beginning: for a start that is already good, where most
+    observations may be wrong. Never fails: with too few inliers (the caller checks) the pose is whatever was found.
     """
     numbers = camera_numbers(camera)
     T, inliers, squared = _native.optimise_pose(

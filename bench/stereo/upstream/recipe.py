@@ -10,8 +10,6 @@ from typing import Any
 
 from bench.errors import BenchError
 
-PATCHES = ("timm", "dinov2", "depth_anything", "torchvision", "splatting")
-
 
 @dataclass(frozen=True)
 class UpstreamRecipe:

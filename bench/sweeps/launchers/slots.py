@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from bench.io.file_lock import lock, open_lock
 
 _POLL_S = 0.1
 
@@ -36,12 +37,9 @@ class Slots:
     def _take(self, while_waiting: Callable[[], None]) -> tuple[int, int]:
         while True:
             for slot in range(self.count):
-                file = os.open(self.folder / f"slot-{slot}", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-                try:
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    os.close(file)
-                else:
+                file = open_lock(self.folder / f"slot-{slot}")
+                if lock(file, wait=False):
                     return slot, file
+                os.close(file)
             while_waiting()
             time.sleep(_POLL_S)
