@@ -126,16 +126,42 @@ def _form(subject: Subject) -> str:
 
 
 def _listed(scores: dict[str, Any]) -> str:
-    leaves = list(_leaves(scores, ""))
+    leaves = [
+        f"{place} {value:.4g}" if isinstance(value, float) else f"{place} {value}"
+        for place, value in _leaves(scores, "")
+    ]
     return ", ".join(leaves[:5]) + (f" and {len(leaves) - 5} more" if len(leaves) > 5 else "")
 
 
-def _leaves(value: Any, where: str) -> Iterator[str]:
+def _shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _metrics(subject: Subject) -> str | Note:
+    declared = subject.candidate.plugin.cls.metrics  # type: ignore[attr-defined]
+    if not declared:
+        return Note("declares no metrics: its numbers stand in metrics.json, and tables don't show them")
+    with subject.saved_run() as run:
+        there = {place for place, _ in _leaves(subject.scores(run), "")}
+    missing = [".".join(place) for metric in declared for place in metric.places if ".".join(place) not in there]
+    if len(missing) == sum(len(metric.places) for metric in declared):
+        raise ContractBrokenError(
+            f"no declared metric is where it should be: {missing[0]} is not in the scores",
+            f"a metric's path to lead to a number in what evaluate() returns ({', '.join(sorted(there)[:3])})",
+            f'Metric("{declared[0].key}", "{declared[0].title}", path="{min(there, default="mine.score")}")',
+            "evaluate",
+        )
+    about = ", ".join(f"{metric.title}{f' [{metric.unit}]' if metric.unit else ''}" for metric in declared[:5])
+    return about + (f"; not in this run: {', '.join(missing[:3])}" if missing else "")
+
+
+def _leaves(value: Any, where: str) -> Iterator[tuple[str, Any]]:
+    """Dotted place and value of each number, text or list in a nested dict."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _leaves(part, f"{where}.{key}".lstrip("."))
     else:
-        yield f"{where} {value:.4g}" if isinstance(value, float) else f"{where} {value}"
+        yield where, value
 
 
 def _changes_nothing(subject: Subject) -> str:
@@ -182,6 +208,7 @@ def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:
     """All checks of an evaluator."""
     return (
         Check("scores", _form, essential=True),
+        Check("metrics", _metrics),
         Check("run untouched", _changes_nothing),
         Check("determinism", _repeats),
         Check("stopped run", _stopped_run),
