@@ -30,7 +30,7 @@ from bench.installed_data import config_folder
 from bench.plugin_config import plugin_config_from
 from bench.protocol import Protocol
 from bench.registry import KINDS, SEVERAL_AT_ONCE, PluginConfig
-from bench.runs.config_file import NO_PART_OF_THE_RUN
+from bench.runs.config_file import NO_PART_OF_THE_RUN, RUNS_FOLDER
 
 
 @dataclass
@@ -125,7 +125,7 @@ class RunConfig:
     @property
     def output(self) -> Path:
         """The run folder."""
-        return Path(self.values["output"] or f"results/runs/{self.hash}")
+        return Path(self.values["output"] or RUNS_FOLDER / self.hash)
 
 
 def register_schema() -> None:

@@ -105,6 +105,13 @@ RULES = {
     "plugins/evaluators": LIVE,
     "bench/tables": LIVE,
     "bench/external": LIVE,
+    # What is to be run is known from a table's rows and columns, not from how tables are written.
+    "bench/sweeps": (
+        "bench.tables.document",
+        "bench.tables.render",
+        "bench.tables.collect",
+        "bench.tables.named.table",
+    ),
     # A stage does not reach into the next one.
     "plugins/datasets": ("plugins.stereo", "plugins.trackers", "plugins.mappers", "bench.gaussians", *AFTER_MAPPING),
     "plugins/stereo": ("plugins.trackers", "plugins.mappers", "bench.gaussians", *AFTER_MAPPING),

@@ -9,7 +9,8 @@ from typing import Any
 from rich.console import Console
 
 from bench.errors import BenchError, did_you_mean
-from bench.tables.collect import DEFAULT_FOLDER, collect_row, find_runs, row_of
+from bench.runs.config_file import RUNS_FOLDER
+from bench.tables.collect import collect_row, find_runs, row_of
 from bench.tables.document.forms import FORMS, form_of, save, text_of
 from bench.tables.named.find import table_names
 from bench.tables.named.records import VIEW_GROUPS, read_runs
@@ -44,7 +45,7 @@ def add_parser(subparsers: Any) -> None:
         nargs="*",
         type=Path,
         metavar="[NAME] RUN_FOLDER",
-        help=f"name of a table, then run folders, folders of them or record files; default: all under {DEFAULT_FOLDER}",
+        help=f"name of a table, then run folders, folders of them or record files; default: all under {RUNS_FOLDER}",
     )
     parser.add_argument(
         "--out",
@@ -75,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
         return _named(name, args.runs[1:], args)
     if name and "/" not in name and not args.runs[0].exists():
         raise BenchError(
-            f"There is no folder and no table {name}; the tables are {', '.join(names)}.{did_you_mean(name, names)}"
+            f"There is no folder and no table {name}; the tables are {', '.join(names)}, and those in --plugins FOLDER."
+            f"{did_you_mean(name, names)}"
         )
     forms = {path: "" if is_record_file(path) else form_of(path, f" or {SUFFIX}") for path in args.out}
     files = [path for path in args.runs if is_record_file(path)]

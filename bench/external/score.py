@@ -17,6 +17,7 @@ from bench.evaluation.saved_run import ProgressReport
 from bench.external.output import read_output
 from bench.external.run_folder import is_there, write_run
 from bench.external.settings import ScoreSettings, read_settings
+from bench.runs.config_file import RUNS_FOLDER
 from bench.runs.system_name import SECTION
 
 _PARTS = ("dataset", "protocol", "evaluator", "plugins", "seed", "output")
@@ -58,7 +59,7 @@ def score_folder(
     config = {key: composed.values[key] for key in _PARTS}
     config[SECTION] = _section(settings, output.sources, output.content)
     config_hash = hash_of(config)
-    path = Path(config["output"] or f"results/runs/{config_hash}")
+    path = Path(config["output"] or RUNS_FOLDER / config_hash)
     if path.resolve().is_relative_to(folder.resolve()):
         raise BenchError(f"--output {path} lies in the folder that is scored. Give another place.")
     was_there = is_there(path, config, config_hash)

@@ -15,6 +15,8 @@ from bench.io.atomic import write_text
 from bench.runs.config_text import parse_config
 
 CONFIG_FILE = "config.yaml"
+RUNS_FOLDER = Path("results/runs")
+"""Where run folders are made, and looked for, unless the user says otherwise; relative to the current folder."""
 _HASH_LINE = "# bgs-bench run, config hash "
 _MISSING = object()
 NO_PART_OF_THE_RUN = ("output", "rerun", "resume", "checkpoint_s", "limits", "plugins", "pipeline", "cache")

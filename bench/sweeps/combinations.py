@@ -8,9 +8,9 @@ from pathlib import Path
 
 from bench.config import check_overrides, combinations, with_home
 from bench.errors import BenchError
+from bench.runs.config_file import RUNS_FOLDER
 from bench.sweeps.experiment import expand_experiment
 from bench.sweeps.plan import Plan, PlannedRun, compose_cell, quoted, sharing
-from bench.tables.collect import DEFAULT_FOLDER
 from bench.tables.named.definitions import Cell
 
 
@@ -31,7 +31,7 @@ def plan_combinations(overrides: Sequence[str]) -> Plan:
 
 def _planned(cell: Cell, combination: list[str], swept: Sequence[str]) -> PlannedRun:
     config = compose_cell(cell, combination)
-    folder = Path(config.values["output"] or DEFAULT_FOLDER) / config.hash
+    folder = Path(config.values["output"] or RUNS_FOLDER) / config.hash
     keys = [each.partition("=")[0] for each in combination]
     own = [each for each, key in zip(combination, keys, strict=True) if key in swept and key not in ("seed", "output")]
     kept = [each for each, key in zip(combination, keys, strict=True) if key.lstrip("+") != "output"]

@@ -15,8 +15,8 @@ from bench.config import RunConfig, check_overrides, compose_run, resolved, with
 from bench.errors import BenchError
 from bench.installed_data import config_folder
 from bench.registry import KINDS, SEVERAL_AT_ONCE
+from bench.runs.config_file import RUNS_FOLDER
 from bench.sweeps.job import Job
-from bench.tables.collect import DEFAULT_FOLDER
 from bench.tables.named.definitions import Cell, NamedTable, cells
 from bench.tables.named.overrides import row_of
 
@@ -117,7 +117,7 @@ def _checked(overrides: Sequence[str], table: str, of_table: Sequence[Cell]) -> 
 
 def _split_output(overrides: list[str]) -> tuple[list[str], Path]:
     """The overrides without ``output=``, and the folder that it names (default ``results/runs``)."""
-    root = DEFAULT_FOLDER
+    root = RUNS_FOLDER
     rest = []
     for parsed in check_overrides(overrides):
         if parsed.get_key_element() == "output":

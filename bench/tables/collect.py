@@ -11,11 +11,10 @@ from bench.contracts.metric import Metric
 from bench.errors import BenchError
 from bench.evaluation.frame_states import describe_stretches
 from bench.evaluation.metrics import declared_metrics
+from bench.runs.config_file import RUNS_FOLDER
 from bench.runs.folder import METRICS_FILE
 from bench.tables.records.folder import read_run
 from bench.tables.records.record import RunRecord
-
-DEFAULT_FOLDER = Path("results/runs")
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ def find_runs(paths: list[Path]) -> list[Path]:
     Raises ``BenchError`` for a path that is neither a run folder nor a folder that holds some.
     """
     found: list[Path] = []
-    for path in paths or [DEFAULT_FOLDER]:
+    for path in paths or [RUNS_FOLDER]:
         if not path.is_dir():
             raise BenchError(f"There is no folder {path}. Give run folders, or make a run first with `bgs-bench run`.")
         runs = (

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import csv
 import html
+import importlib.metadata
+import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ import pytest
 from fake_runs import make_run as write_run
 from fake_runs import metrics
 
+from bench import registry
 from bench.cli import main
 from bench.errors import BenchError
 from bench.sweeps.experiment import expand_experiment
@@ -198,6 +202,46 @@ def test_a_rows_wrong_setting_is_named_when_it_is_composed(mine: Path, capsys: p
     said = capsys.readouterr().err
     assert f"{file}, row 'Ours, sgbm': mapper.iteratons=3: " in said
     assert "Did you mean 'iterations'?" in said
+
+
+SHARP = """\
+from bench.contracts.evaluator import Evaluator
+from bench.contracts.metric import Metric
+from bench.registry import PluginConfig, register
+
+
+@register("evaluator", "sharp", config=PluginConfig)
+class Sharp(Evaluator):
+    'Sharpness.'
+
+    metrics = (Metric("sharpness_px", "Sharpness", "px", None, None, "extra.sharpness"),)
+"""
+
+
+def test_a_metric_of_a_users_evaluator(mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """1200 px beside 1201 px: whole numbers, none of them the best, as the evaluator does not say what is better."""
+    monkeypatch.setattr(registry, "_plugins", dict(registry._plugins))
+    (mine / "sharp.py").write_text(SHARP)
+    (mine / "table" / "invented.yaml").write_text(TABLE.replace("ssim]", "sharpness_px]"))
+    published = "invented,street,north_1,A|B <i>net</i> & co_1,sharpness_px,1201,px,ok,,Anon\n"
+    (mine / "table" / "invented.csv").write_text(NUMBERS + published)
+    make_run(tmp_path / "runs" / "a", 1, 18.0)
+    file = tmp_path / "runs" / "a" / "metrics.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"extra": {"sharpness": 1200}}))
+    text = make_table("invented", [tmp_path / "runs"], folders=[str(mine)]).text("md", Path("tables"))
+    assert "| Sharpness [px] | ours | 1,200 (1: [4]" in text
+    assert "| 1201 (\u22121) |" in text
+
+
+def test_a_package_with_plugins_may_bring_tables(mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "a_package_of_tables"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    shutil.copytree(mine / "table", package / "table")
+    monkeypatch.syspath_prepend(tmp_path)
+    entry = importlib.metadata.EntryPoint("x", "a_package_of_tables.plugins", "bgs_bench.plugins")
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [entry])
+    assert named_table("invented").file == package / "table" / "invented.yaml"
 
 
 def test_names_are_not_taken_twice(mine: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError
+from bench.tables.document.markdown import row as markdown_row
 from bench.tables.named.overrides import holds
 from bench.tables.records.file import read_record_file
 from bench.tables.records.made import made_in_words
@@ -103,16 +104,13 @@ def by_settings(runs: Runs, rows: Sequence[str]) -> dict[str, list[RunRecord]]:
 
 def run_table(columns: Sequence[RunColumn], rows: Sequence[Runs | FixedRow]) -> str:
     """A Markdown table with a line for each row, numbers to the right of the first column."""
-    lines = [markdown_row([column.heading for column in columns]), "|" + "---|" * len(columns)]
-    for row in rows:
-        cells = row.cells if isinstance(row, FixedRow) else [column.text(row) for column in columns]
-        lines.append(markdown_row(cells))
-    return "\n".join(lines)
+    cells = [row.cells if isinstance(row, FixedRow) else [column.text(row) for column in columns] for row in rows]
+    return text_table([column.heading for column in columns], cells)
 
 
-def markdown_row(cells: Sequence[str]) -> str:
-    """A line of a Markdown table."""
-    return "| " + " | ".join(cells) + " |"
+def text_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table of texts that are Markdown."""
+    return "\n".join([markdown_row(headings), "|" + "---|" * len(headings), *map(markdown_row, rows)])
 
 
 def made_by(runs: Runs, file: Path, folder: Path) -> str:

@@ -23,11 +23,11 @@ from tools.readme_tables.columns import (
     figures,
     link,
     made_by,
-    markdown_row,
     median,
     number,
     read_kept,
     run_table,
+    text_table,
 )
 
 _STAGES = "+".join(f"resources.{stage}_s_per_frame" for stage in ("tracking", "stereo", "mapping"))
@@ -108,13 +108,14 @@ def _trackers(kept: Path, folder: Path) -> str:
     members = by_settings(runs, ("tracker=stereo_orb", "tracker=orbslam3"))
     if not all(members.values()):
         raise BenchError(f"{file} needs runs of both trackers, stereo_orb and orbslam3. Keep both sweeps' runs.")
-    lines = [markdown_row(["", "stereo_orb", "ORB-SLAM3", "ratio"]), "|---|---|---|---|"]
+    rows = []
     for label, paths, form, scale in _TRACKER_ROWS:
         ours, theirs = ([median(found, path) * scale for path in paths] for found in members.values())
         ratios = " / ".join(f"{one / other:.2f}" for one, other in zip(ours, theirs, strict=True))
-        lines.append(markdown_row([label, form.format(*ours), form.format(*theirs), ratios]))
+        rows.append([label, form.format(*ours), form.format(*theirs), ratios])
     counts = " and ".join(str(len(found)) for found in members.values())
-    return "\n".join([*lines, "", f"Medians of {counts} runs. {made_by(runs, file, folder)}"])
+    table = text_table(["", "stereo_orb", "ORB-SLAM3", "ratio"], rows)
+    return f"{table}\n\nMedians of {counts} runs. {made_by(runs, file, folder)}"
 
 
 def _circuits(kept: Path, folder: Path) -> str:
@@ -160,15 +161,15 @@ def _stereo(kept: Path, folder: Path) -> str:
     file = kept / "stereo_kitti06.csv"
     with file.open(newline="", encoding="utf-8") as opened:
         rows = list(csv.DictReader(opened))
-    lines = [markdown_row(["stereo", *(heading for heading, _, _ in _STEREO_COLUMNS)])]
-    lines.append("|" + "---|" * (len(_STEREO_COLUMNS) + 1))
+    lines = []
     for row in rows:
         cells = [f"`{_STEREO_NAMES.get(row['stereo'], row['stereo'])}`"]
         for _, keys, form in _STEREO_COLUMNS:
             values = [row.get(key, "") for key in keys]
             cells.append(form.format(*map(float, values)) if all(values) else "")
-        lines.append(markdown_row(cells))
-    return "\n".join([*lines, "", f"*[numbers]({link(file, folder)})*"])
+        lines.append(cells)
+    table = text_table(["stereo", *(heading for heading, _, _ in _STEREO_COLUMNS)], lines)
+    return f"{table}\n\n*[numbers]({link(file, folder)})*"
 
 
 _MM = "`torch.mm` of 1024^3"
@@ -200,11 +201,12 @@ def _performance(kept: Path, folder: Path) -> str:
     """The benchmarks' ratios."""
     file = kept / performance.FILE
     content = read_json(file)
-    lines = [markdown_row(["ratio", "measured"]), "|---|---|"]
+    rows = []
     for label, benchmark, name in _RATIOS:
         value = performance.ratio(content, benchmark, name)
-        lines.append(markdown_row([label, f"{value:.2f}" if value < 10 else f"{value:.0f}"]))
-    return "\n".join([*lines, "", f"*{performance.device_of(content)}; [numbers]({link(file, folder)})*"])
+        rows.append([label, f"{value:.2f}" if value < 10 else f"{value:.0f}"])
+    table = text_table(["ratio", "measured"], rows)
+    return f"{table}\n\n*{performance.device_of(content)}; [numbers]({link(file, folder)})*"
 
 
 # Of a paper's table, what says what its numbers are; other notes are on single runs, and on the published numbers.

@@ -65,7 +65,7 @@ def _legend(filled: FilledTable, grid: Grid, views: str) -> str:
         "Lines ours: mean ± sample standard deviation over seeds (number of runs); below it the paper's number, and in "
         "brackets ours minus the paper's. Bold: the best of the paper's numbers, and the best of ours."
     )
-    if filled.table.across == "sequences":
+    if any(column.below for column in grid.columns):
         text += " Below a sequence: km/frames, as in the paper."
     if any(DAGGER in line.method for block in grid.blocks for line in block) or any(cell.mark for cell in cells):
         text += f" {DAGGER} on part of the sequence."

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.errors import BenchError
-from bench.runs.config_file import CONFIG_FILE
-from bench.tables.collect import DEFAULT_FOLDER, find_runs
+from bench.runs.config_file import CONFIG_FILE, RUNS_FOLDER
+from bench.tables.collect import find_runs
 from bench.tables.records.file import KeptRuns, in_order, is_record_file, read_record_file
 from bench.tables.records.folder import read_folder
 from bench.tables.records.record import VIEW_GROUPS as VIEW_GROUPS
@@ -28,7 +28,7 @@ def read_runs(paths: Sequence[Path], views: str | None = None) -> KeptRuns:
     chosen = views or (kept[0].views if kept else "left")
     runs = [run for one in kept for run in one.runs]
     problems = [problem for one in kept for problem in one.problems]
-    if folders or (not files and any(DEFAULT_FOLDER.glob(f"*/{CONFIG_FILE}"))):
+    if folders or (not files and any(RUNS_FOLDER.glob(f"*/{CONFIG_FILE}"))):
         for folder in sorted(set(find_runs(folders))):
             try:
                 runs.append(read_folder(folder, chosen))
