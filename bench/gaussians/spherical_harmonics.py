@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from bench.gaussians.schema import COLOR, HARMONICS, SH_C0, degree_of
+from bench.gaussians.schema import COLOR, HARMONICS, MEAN, SH_C0, degree_of
 
 
 def basis(directions: Tensor, degree: int) -> Tensor:
@@ -45,7 +45,7 @@ def colors(planes: Tensor, camera_center: Tensor) -> Tensor:
     degree = degree_of(planes.shape[0])
     if degree == 0:
         return (0.5 + SH_C0 * planes[COLOR]).clamp_min(0.0)
-    directions = torch.nn.functional.normalize(planes[:3].T - camera_center, dim=1)
+    directions = torch.nn.functional.normalize(planes[MEAN].T - camera_center, dim=1)
     return (0.5 + torch.einsum("nk,nkc->cn", basis(directions, degree), coefficients(planes))).clamp_min(0.0)
 
 

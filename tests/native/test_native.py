@@ -14,6 +14,7 @@ import pytest
 import torch
 
 from bench import _native
+from bench.gaussians.schema import planes_of
 
 
 @pytest.fixture(autouse=True)
@@ -94,6 +95,23 @@ def test_adam_refuses_wrong_shapes() -> None:
         _native.adam_step(planes, planes, planes, planes, None, rates[:3], *common)
     with pytest.raises(ValueError, match=r"position_rate must have shape \(N,\)"):
         _native.adam_step(planes, planes, planes, planes, torch.zeros(5), rates, *common)
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_adam_is_that_of_torch_for_any_number_of_planes(degree: int) -> None:
+    generator = torch.Generator().manual_seed(3)
+    start = torch.randn(planes_of(degree), 11, generator=generator)
+    rates = [0.001 * (1 + k % 7) for k in range(len(start))]
+    planes, first, second = start.clone(), torch.zeros_like(start), torch.zeros_like(start)
+    rows = [row.double().requires_grad_() for row in start]
+    theirs = torch.optim.Adam([{"params": [row], "lr": rate} for row, rate in zip(rows, rates, strict=True)], eps=1e-15)
+    for step in range(1, 4):
+        grads = torch.randn(start.shape, generator=generator)
+        _native.adam_step(planes, first, second, grads, None, rates, 0.9, 0.999, 1e-15, step, None)
+        for row, grad in zip(rows, grads.double(), strict=True):
+            row.grad = grad
+        theirs.step()
+    torch.testing.assert_close(planes.double(), torch.stack(rows).detach(), rtol=1e-6, atol=1e-6)
 
 
 def test_backward_without_its_forward_is_refused() -> None:
