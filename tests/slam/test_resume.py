@@ -16,6 +16,7 @@ from bench.config import compose_run
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.checkpoint import CHECKPOINT_FOLDER, Checkpoints
+from bench.runs.events import read_events
 from bench.runs.folder import RunFolder
 from bench.slam.system import run_system
 from plugins.mappers.gaussian import GaussianMapper
@@ -23,6 +24,8 @@ from plugins.trackers.groundtruth import GroundTruth
 
 STREET = ("dataset.frames=6", "dataset.width=320", "dataset.height=96", "mapper.iterations=3", "protocol.lpips=false")
 STREET += ("mapper.final_iterations=2", "mapper.cached_targets=2", "protocol.holdout_every=5")
+# So that the map moves and is pruned, and events tell of it.
+STREET += ("mapper.follow_corrections_m=0", "mapper.follow_corrections_deg=0", "mapper.prune_opacity=0.45")
 SAME_BYTES = (
     "map.ply",
     "events.jsonl",
@@ -92,6 +95,7 @@ def test_a_resumed_run_has_the_bits_of_an_unbroken_one(
     assert learned == [
         number for number in range(frames_then, 6) if number != 2
     ]  # frame 2 is held out; none is learned twice
+    assert {"map_moved", "pruned"} <= {event.kind for event in read_events(folder)}
     for name in SAME_BYTES:
         assert (folder / name).read_bytes() == (unbroken / name).read_bytes(), name
     tables = [pd.read_csv(each / "frames.csv").filter(regex="^(?!.*_s$)") for each in (folder, unbroken)]

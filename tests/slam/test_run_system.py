@@ -16,9 +16,10 @@ import torch
 from bench.config import compose_run
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
+from bench.runs.events import read_events
 from bench.runs.folder import RunFolder
 from bench.slam.system import run_system
-from bench.types import Keyframe, MappingReport
+from bench.types import Event, Keyframe, MappingReport
 
 TINY = ("dataset.frames=5", "dataset.width=160", "dataset.height=64", "mapper.iterations=2", "protocol.lpips=false")
 
@@ -66,6 +67,8 @@ def test_a_lost_frame_is_neither_mapped_nor_rendered(tmp_path: Path) -> None:
     assert not (folder / "views/left/color/000001.png").exists()
     assert (folder / "views/left/color/000002.png").exists()
     assert len((folder / "trajectory_kitti.txt").read_text().splitlines()) == 4
+    assert Event("lost", 1) in read_events(folder)
+    assert "frame 1: tracking is lost" in (folder / "log.txt").read_text()
     assert state_of(folder)[0] == "done"
 
 

@@ -105,6 +105,7 @@ def test_a_recognised_place_is_where_the_new_map_begins(drive: Any, odometry: An
     assert {r.state for r in dark} == {"weak", "lost"}
     back = [tracker.track(*drive.pairs[i], 1.6 + 0.1 * i) for i in (4, 5, 6)]
     assert [r.state for r in back] == ["weak", "ok", "ok"]
+    assert [r.recognised for r in [*dark, *back]] == [None] * 12 + [2, None, None]
     assert asked[-1] >= 100
     np.testing.assert_allclose(centres(back), drive.poses[4:7, :3, 3], atol=0.1)
     assert tracker.new_keyframe.index == len(tracker.keyframe_poses()) - 1
