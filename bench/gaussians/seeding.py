@@ -12,7 +12,7 @@ from torch import Tensor
 from bench.errors import BenchError
 from bench.gaussians.parameters import planes_from
 from bench.geometry import se3
-from bench.types import Image, Map, Mask, PinholeView
+from bench.types import DepthMap, Image, Map, Mask, PinholeView
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,8 @@ class SeedingConfig:
     """Opacity of new Gaussians."""
     fill_holes: bool = True
     """Whether pixels of unknown depth get a smoothly filled one, for seeding only."""
+    min_confidence: float = 0.0
+    """Depth counts as unknown where the stereo plugin's confidence in it, 0 to 1, is below this (0: any counts)."""
     sky_distance_m: float = 200.0
     """Where sky pixels are put, in metres (0: no Gaussians for the sky)."""
 
@@ -44,8 +46,26 @@ class SeedingConfig:
         for name in ("size", "thickness"):
             if not getattr(self, name) > 0:
                 raise BenchError(f"mapper.seeding.{name}={getattr(self, name)} must be above 0.")
+        if not 0 <= self.min_confidence <= 1:
+            raise BenchError(f"mapper.seeding.min_confidence={self.min_confidence} must lie between 0 and 1.")
         if not self.sky_distance_m >= 0:
             raise BenchError(f"mapper.seeding.sky_distance_m={self.sky_distance_m} must be 0 (no sky) or more metres.")
+
+
+def depth_to_seed_from(depth: DepthMap, supervises: Mask, config: SeedingConfig) -> Map:
+    """Depth (H, W) in metres, NaN where it does not supervise or is not sure enough.
+
+    Raises ``BenchError`` where ``min_confidence`` asks for a confidence that the depth has not.
+    """
+    if config.min_confidence == 0:
+        return np.where(supervises, depth.depth, np.nan)
+    if depth.confidence is None:
+        raise BenchError(
+            f"mapper.seeding.min_confidence={config.min_confidence}: {depth.source} gives no confidence. Use a stereo "
+            "plugin that does, such as stereo=sgbm stereo.full_check=true or a network with "
+            "stereo.left_right_check_px=1."
+        )
+    return np.where(supervises & (depth.confidence >= config.min_confidence), depth.depth, np.nan)
 
 
 def fill_inverse_depth(inverse: Map, known: Mask) -> Map:

@@ -20,7 +20,7 @@ from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.map import GaussianMap
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
 from bench.gaussians.schema import MAX_DEGREE, OPACITY_LOGIT
-from bench.gaussians.seeding import SeedingConfig, seed_gaussians
+from bench.gaussians.seeding import SeedingConfig, depth_to_seed_from, seed_gaussians
 from bench.registry import PluginConfig, register
 from bench.supervision.target import Target, target_of
 from bench.types import Event, Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
@@ -236,7 +236,7 @@ class GaussianMapper(Mapper):
             rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
             error = (rendered.color - target.image).abs().mean(0)
             unexplained = ((rendered.alpha < c.seeding.max_alpha) | (error > c.seeding.min_error)).cpu().numpy()
-        depth = np.where(target.depth_mask.cpu().numpy(), keyframe.depth.depth, np.nan)
+        depth = depth_to_seed_from(keyframe.depth, target.depth_mask.cpu().numpy(), c.seeding)
         planes, depths = seed_gaussians(keyframe.frame.left, depth, keyframe.sky, unexplained, view, c.seeding)
         self._map.add(number, self._keyframes[number].T_world_cam, planes, depths)
 

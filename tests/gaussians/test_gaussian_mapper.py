@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -127,6 +128,29 @@ def test_new_seeds_only_where_the_map_does_not_explain_the_image() -> None:
         first = mapper.add_keyframe(keyframe, [0]).gaussians
         mapper._seed(twice)
         assert mapper.gaussians - first <= most * first
+
+
+@pytest.mark.parametrize("fill_holes", [False, True])
+def test_depth_that_is_not_sure_enough_seeds_like_unknown_depth(fill_holes: bool) -> None:
+    """The right half is known with confidence 0.4: above 0.3 it counts, below 0.5 it is as if it were not there."""
+    keyframe = street()[1][0]
+    confidence = np.ones_like(keyframe.depth.depth)
+    confidence[:, 80:] = 0.4
+    half = np.where(confidence == 1, keyframe.depth.depth, np.float32(np.nan))
+
+    def seeds(depth: DepthMap, least: float) -> torch.Tensor:
+        mapper = started(seeding=SeedingConfig(min_confidence=least, fill_holes=fill_holes))
+        given = replace(keyframe, depth=depth)
+        mapper._keyframes[0] = given
+        mapper._seed(given)
+        return mapper._map.planes
+
+    sure = DepthMap(keyframe.depth.depth, "sure", confidence)
+    assert torch.equal(seeds(sure, 0.5), seeds(DepthMap(half, "half"), 0.0))
+    assert torch.equal(seeds(sure, 0.3), seeds(keyframe.depth, 0.0))
+    assert not torch.equal(seeds(sure, 0.5), seeds(sure, 0.3))
+    with pytest.raises(BenchError, match=r"mapper\.seeding\.min_confidence=0\.5: truth gives no confidence"):
+        seeds(keyframe.depth, 0.5)
 
 
 def test_update_poses_moves_the_views_that_mapping_learns_from() -> None:
