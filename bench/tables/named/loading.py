@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -19,23 +19,14 @@ from bench.registry import KINDS
 from bench.tables.named.definitions import MethodRow, NamedTable
 from bench.tables.named.published import SEQUENCES_FILE, SequenceFacts, read_sequences
 
-_REQUIRED = ("title", "dataset", "sequences", "metrics")
-_OPTIONAL = (
-    "about",
-    "columns",
-    "protocol",
-    "seeds",
-    "published",
-    "references",
-    "overrides",
-    "never",
-    "rows",
-    "rows_of",
+_OF_A_TABLE = (
+    *("title", "dataset", "sequences", "metrics"),
+    *("about", "columns", "protocol", "seeds", "published", "references", "overrides", "never", "rows", "rows_of"),
 )
 _OF_A_ROW = ("label", "published", "compared_with", "overrides", "never")
 _OF_A_METRIC = ("key", "title", "decimals", "better")
-# What an override of a row may set: the parts of a run that are not the table's own.
-_SETTINGS = (*(kind for kind in KINDS if kind != "dataset"), "system", "dataset", "limits", "pipeline", "cache")
+# What an override of a row may set: all that is not the table's own.
+_SETTINGS = (*KINDS, "system", "limits", "pipeline", "cache")
 
 
 def read_table(file: Path, folders: Sequence[str] = ()) -> NamedTable:
@@ -44,95 +35,111 @@ def read_table(file: Path, folders: Sequence[str] = ()) -> NamedTable:
     Raises ``BenchError``, with the file and the row, for a file that can't be read, an unknown key, a metric that no
     evaluator has, an override that is none, and a CSV file that is not there.
     """
-    content = _mapping(str(file), _parsed(file), _REQUIRED, _OPTIONAL)
-    where = str(file)
-    columns = require_choice(f"{where}: columns", str(content.get("columns", "sequences")), ("sequences", "metrics"))
-    dataset = _text(where, content, "dataset")
-    sequences = _sequences(where, content["sequences"])
-    if columns == "metrics" and len(sequences) > 1:
-        raise BenchError(f"{where}: where columns are metrics there is one sequence; give one, or columns: sequences.")
+    table = _read(file)
+    across = require_choice(f"{file}: columns", table.text("columns") or "sequences", ("sequences", "metrics"))
+    sequences = _sequences(table)
+    if across == "metrics" and len(sequences) > 1:
+        raise BenchError(f"{file}: where columns are metrics there is one sequence; give one, or columns: sequences.")
     return NamedTable(
         name=file.stem,
         file=file,
-        title=_text(where, content, "title"),
-        dataset=dataset,
+        title=table.text("title"),
+        dataset=table.text("dataset"),
         sequences=sequences,
-        metrics=tuple(_metric(where, each, folders) for each in _list(where, content, "metrics")),
-        rows=_rows(file, content),
-        across=cast(Literal["sequences", "metrics"], columns),
-        about=_text(where, content, "about"),
-        protocol=_text(where, content, "protocol") or "default",
-        seeds=_seeds(where, content),
-        published=_files(file, content, "published"),
-        references=_files(file, content, "references"),
-        facts=_facts(file, dataset),
+        metrics=tuple(_metric(f"{file}: a metric", each, folders) for each in table.list("metrics")),
+        rows=_rows(table, file),
+        across=cast(Literal["sequences", "metrics"], across),
+        about=table.text("about"),
+        protocol=table.text("protocol") or "default",
+        seeds=_seeds(table),
+        published=_files(table, file, "published"),
+        references=_files(table, file, "references"),
+        facts=_facts(file, table.text("dataset")),
     )
 
 
-def _parsed(file: Path) -> Any:
+class _Part:
+    """A mapping in the file, with the place that errors name; it has no other keys than those that are ``accepted``."""
+
+    def __init__(self, where: str, content: Any, accepted: Sequence[str], required: int = 1) -> None:
+        names = ", ".join(accepted)
+        if not isinstance(content, dict):
+            raise BenchError(f"{where} must hold keys and values (KEY: VALUE), of {names}.")
+        for key in content:
+            if key not in accepted:
+                hint = did_you_mean(str(key), accepted)
+                raise BenchError(f"{where} has an unknown key '{key}'; there are {names}.{hint}")
+        for key in accepted[:required]:
+            if not content.get(key):
+                raise BenchError(f"{where} lacks '{key}'. Write {key}: and what it is.")
+        self.where, self.content = where, content
+
+    def text(self, key: str) -> str:
+        """A string on one line, empty where the key is not there."""
+        return _text(self.where, key, self.content.get(key, ""))
+
+    def list(self, key: str) -> list[Any]:
+        value = self.content.get(key, [])
+        if not isinstance(value, list):
+            raise BenchError(f"{self.where}: {key} must be a list, {key}: [ONE, OTHER].")
+        return value
+
+    def overrides(self, key: str, accepted: Sequence[str] = _SETTINGS) -> tuple[str, ...]:
+        """What is written as on the command line: ``system=bgs_slam loss=[rgb,ssim]``."""
+        where, text = f"{self.where}: {key}", self.text(key)
+        try:
+            overrides = shlex.split(text)
+        except ValueError as error:
+            raise BenchError(f"{where}: {text}: {error}. Write it as on the command line.") from error
+        for override in overrides:
+            setting, _, value = override.partition("=")
+            part = setting.partition(".")[0]
+            if not value:
+                raise BenchError(f"{where}: '{override}' sets nothing. Write SETTING=VALUE, with blanks between them.")
+            if part not in accepted or setting == "dataset":
+                names, hint = ", ".join(accepted), did_you_mean(part, accepted)
+                raise BenchError(f"{where}: '{override}' is no setting here; they begin with one of {names}.{hint}")
+        return tuple(overrides)
+
+
+def _text(where: str, key: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise BenchError(f"{where}: {key}: {value!r} is no text. Put it in quotes, {key}: '{value}'.")
+    return " ".join(value.split())
+
+
+def _read(file: Path) -> _Part:
     try:
-        return yaml.safe_load(file.read_text(encoding="utf-8"))
+        return _Part(str(file), yaml.safe_load(file.read_text(encoding="utf-8")), _OF_A_TABLE, required=4)
     except (OSError, UnicodeDecodeError) as error:
         raise BenchError(f"Can't read {file}: {error}. Mend the file, or take it out of the folder.") from error
     except yaml.YAMLError as error:
         raise BenchError(f"{file} is no YAML: {' '.join(str(error).split())}. Mend that line.") from error
 
 
-def _mapping(where: str, value: Any, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
-    """``value`` as a mapping that has all ``required`` keys and others only of ``optional``."""
-    accepted = (*required, *optional)
-    if not isinstance(value, dict):
-        raise BenchError(f"{where} must hold keys and values (KEY: VALUE), of {', '.join(accepted)}.")
-    for key in value:
-        if key not in accepted:
-            known = ", ".join(accepted)
-            raise BenchError(
-                f"{where} has an unknown key '{key}'; there are {known}.{did_you_mean(str(key), accepted)}"
-            )
-    lacking = [key for key in required if not value.get(key)]
-    if lacking:
-        raise BenchError(f"{where} lacks '{lacking[0]}'. Write {lacking[0]}: and what it is.")
-    return value
-
-
-def _text(where: str, content: Mapping[str, Any], key: str) -> str:
-    """A string on one line, empty where the key is not there."""
-    value = content.get(key, "")
-    if not isinstance(value, str):
-        raise BenchError(f"{where}: {key}: {value!r} is no text. Put it in quotes, {key}: '{value}'.")
-    return " ".join(value.split())
-
-
-def _list(where: str, content: Mapping[str, Any], key: str) -> list[Any]:
-    value = content.get(key, [])
-    if not isinstance(value, list):
-        raise BenchError(f"{where}: {key} must be a list, {key}: [ONE, OTHER].")
-    return value
-
-
-def _sequences(where: str, value: Any) -> dict[str, tuple[str, ...]]:
+def _sequences(table: _Part) -> dict[str, tuple[str, ...]]:
     """Names of sequences, or of columns with the overrides that choose them."""
-    if isinstance(value, dict):
-        return {
-            _text(where, {"sequences": name}, "sequences"): _overrides(f"{where}, sequence '{name}'", value, name, True)
-            for name in value
-        }
-    names = [_text(where, {"sequences": name}, "sequences") for name in _list(where, {"sequences": value}, "sequences")]
-    return {name: (f"dataset.sequence={name}",) for name in names}
+    given = table.content["sequences"]
+    names = [
+        _text(table.where, "sequences", name)
+        for name in (given if isinstance(given, dict) else table.list("sequences"))
+    ]
+    if not isinstance(given, dict):
+        return {name: (f"dataset.sequence={name}",) for name in names}
+    columns = _Part(f"{table.where}, sequences", given, names)
+    return {name: columns.overrides(name, ("dataset",)) for name in names}
 
 
 def _metric(where: str, value: Any, folders: Sequence[str]) -> Metric:
     """A metric by its key alone, or with what the table changes of it."""
-    if isinstance(value, str):
-        value = {"key": value}
-    changed = dict(_mapping(f"{where}: a metric", value, ("key",), _OF_A_METRIC[1:]))
+    changed = dict(_Part(where, {"key": value} if isinstance(value, str) else value, _OF_A_METRIC).content)
     key = str(changed.pop("key"))
     known = {metric.key: metric for metric in declared_metrics()}
     if key not in known:
         # Only now, as importing every plugin takes seconds.
         load_plugins(folders)
         known = {metric.key: metric for metric in declared_metrics()}
-    require_choice(f"{where}: the metric", key, known)
+    require_choice(f"{where}: key", key, known)
     if not isinstance(changed.get("decimals", 0), int):
         raise BenchError(f"{where}: decimals of {key}: {changed['decimals']!r} is no whole number.")
     try:
@@ -141,75 +148,48 @@ def _metric(where: str, value: Any, folders: Sequence[str]) -> Metric:
         raise BenchError(f"{where}: {error}") from error
 
 
-def _rows(file: Path, content: Mapping[str, Any]) -> tuple[MethodRow, ...]:
+def _rows(table: _Part, file: Path) -> tuple[MethodRow, ...]:
     """The table's own rows, or those of another table beside it."""
-    where = str(file)
-    if ("rows" in content) == ("rows_of" in content):
-        raise BenchError(f"{where} needs either rows, or rows_of with the name of a table whose rows it has.")
-    if "rows_of" in content:
-        other = file.with_name(f"{_text(where, content, 'rows_of')}.yaml")
+    if ("rows" in table.content) == ("rows_of" in table.content):
+        raise BenchError(f"{file} needs either rows, or rows_of with the name of a table whose rows it has.")
+    if "rows_of" in table.content:
+        other = file.with_name(f"{table.text('rows_of')}.yaml")
         if not other.is_file():
-            raise BenchError(f"{where}: rows_of: there is no {other}. Name a table that lies beside it.")
-        of_other = _mapping(str(other), _parsed(other), _REQUIRED, _OPTIONAL)
-        if "rows_of" in of_other:
-            raise BenchError(f"{where}: rows_of: {other} has no rows of its own. Name the table that has them.")
-        return _rows(other, of_other)
-    shared = _overrides(where, content, "overrides"), _overrides(where, content, "never")
-    rows = tuple(_row(where, number, each, *shared) for number, each in enumerate(_list(where, content, "rows"), 1))
+            raise BenchError(f"{file}: rows_of: there is no {other}. Name a table that lies beside it.")
+        of_other = _read(other)
+        if "rows_of" in of_other.content:
+            raise BenchError(f"{file}: rows_of: {other} has no rows of its own. Name the table that has them.")
+        return _rows(of_other, other)
+    rows = tuple(_row(table, number, each) for number, each in enumerate(table.list("rows"), 1))
     labels = [row.label for row in rows]
     for label in labels:
         if labels.count(label) > 1:
-            raise BenchError(f"{where}: two rows are labelled '{label}'. Give each row its own label.")
+            raise BenchError(f"{file}: two rows are labelled '{label}'. Give each row its own label.")
     return rows
 
 
-def _row(where: str, number: int, value: Any, shared: tuple[str, ...], never: tuple[str, ...]) -> MethodRow:
-    of_row = _mapping(f"{where}, row {number}", value, ("label",), _OF_A_ROW[1:])
-    label = _text(f"{where}, row {number}", of_row, "label")
-    where = f"{where}, row '{label}'"
-    published, compared = _text(where, of_row, "published"), _text(where, of_row, "compared_with")
+def _row(table: _Part, number: int, value: Any) -> MethodRow:
+    label = _Part(f"{table.where}, row {number}", value, _OF_A_ROW).text("label")
+    row = _Part(f"{table.where}, row '{label}'", value, _OF_A_ROW)
+    published, compared = row.text("published"), row.text("compared_with")
     if published and compared:
-        raise BenchError(f"{where}: published and compared_with exclude each other. Keep one of them.")
-    if "overrides" not in of_row:
+        raise BenchError(f"{row.where}: published and compared_with exclude each other. Keep one of them.")
+    if "overrides" not in row.content:
         return MethodRow(label, published=published, compared_with=compared)
-    overrides = (*shared, *_overrides(where, of_row, "overrides"))
-    return MethodRow(label, overrides, (*never, *_overrides(where, of_row, "never")), published, compared)
+    overrides, never = ((*table.overrides(key), *row.overrides(key)) for key in ("overrides", "never"))
+    return MethodRow(label, overrides, never, published, compared)
 
 
-def _overrides(where: str, content: Mapping[str, Any], key: str, of_data: bool = False) -> tuple[str, ...]:
-    """What is written as on the command line, ``system=bgs_slam loss=[rgb,ssim]``; ``of_data``: of the data set."""
-    text = _text(where, content, key)
-    try:
-        overrides = shlex.split(text)
-    except ValueError as error:
-        raise BenchError(f"{where}: {key}: {text}: {error}. Write it as on the command line.") from error
-    accepted = ("dataset",) if of_data else _SETTINGS
-    for override in overrides:
-        setting, equals, value = override.partition("=")
-        part = setting.partition(".")[0]
-        if not equals or not value:
-            raise BenchError(
-                f"{where}: {key}: '{override}' sets nothing. Write SETTING=VALUE, with blanks between them."
-            )
-        if part not in accepted or setting == "dataset":
-            names = ", ".join(accepted)
-            raise BenchError(
-                f"{where}: {key}: '{override}' is no setting of a row; they begin with one of {names}."
-                f"{did_you_mean(part, accepted)}"
-            )
-    return tuple(overrides)
-
-
-def _seeds(where: str, content: Mapping[str, Any]) -> tuple[int, ...]:
-    seeds = _list(where, content, "seeds") if "seeds" in content else [0, 1, 2]
+def _seeds(table: _Part) -> tuple[int, ...]:
+    seeds = table.list("seeds") if "seeds" in table.content else [0, 1, 2]
     if not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds) or len(set(seeds)) < len(seeds):
-        raise BenchError(f"{where}: seeds: {seeds} must be different whole numbers, 0 or more, such as [0, 1, 2].")
+        raise BenchError(f"{table.where}: seeds: {seeds} must be different whole numbers, 0 or more, as [0, 1, 2].")
     return tuple(seeds)
 
 
-def _files(file: Path, content: Mapping[str, Any], key: str) -> tuple[Path, ...]:
+def _files(table: _Part, file: Path, key: str) -> tuple[Path, ...]:
     """The CSV files named under a key: beside the table, else among the bench's own."""
-    names = content.get(key, [])
+    names = table.content.get(key, [])
     found = []
     for name in names if isinstance(names, list) else [names]:
         places = [folder / str(name) for folder in (file.parent, published_folder())]
@@ -222,5 +202,5 @@ def _files(file: Path, content: Mapping[str, Any], key: str) -> tuple[Path, ...]
 
 def _facts(file: Path, dataset: str) -> dict[str, SequenceFacts]:
     """What is known of the data set's sequences: the bench's own knowledge, then what lies beside the table."""
-    beside = file.parent if (file.parent / SEQUENCES_FILE).is_file() else None
-    return read_sequences(dataset) | (read_sequences(dataset, beside) if beside is not None else {})
+    beside = (file.parent / SEQUENCES_FILE).is_file()
+    return read_sequences(dataset) | (read_sequences(dataset, file.parent) if beside else {})
