@@ -27,9 +27,9 @@ from bench.cache.settings import CacheConfig
 from bench.discovery import load_plugins
 from bench.errors import BenchError, did_you_mean, first_line, require_choice
 from bench.installed_data import config_folder
-from bench.plugin_config import plugin_config_from
+from bench.plugin_config import plugin_config_from, plugins_in
 from bench.protocol import Protocol
-from bench.registry import KINDS, SEVERAL_AT_ONCE, PluginConfig
+from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, PluginConfig
 from bench.runs.config_file import NO_PART_OF_THE_RUN, RUNS_FOLDER
 
 
@@ -68,6 +68,8 @@ class RootConfig:
     """Folders with plugins of your own."""
     pipeline: str = "parallel"
     """parallel lets tracking and stereo run ahead of mapping, sequential does not; the result is the same."""
+    threads: int = 0
+    """Threads of the C++ core; 0: all cores, or OMP_NUM_THREADS. The result is the same to the bit for any number."""
     cache: CacheConfig = field(default_factory=CacheConfig)
     """The disk cache of depth maps and sky masks."""
     protocol: Any = None
@@ -86,8 +88,6 @@ class RootConfig:
     """Mapper, one of `bgs-bench list mapper`."""
     loss: Any = None
     """Loss terms, several of `bgs-bench list loss`: loss=[rgb,ssim]."""
-    rasterizer: Any = None
-    """Rasterizer, one of `bgs-bench list rasterizer`."""
     evaluator: Any = None
     """Evaluators, several of `bgs-bench list evaluator`."""
 
@@ -137,11 +137,10 @@ def register_schema() -> None:
 
 def compose_run(overrides: Sequence[str]) -> RunConfig:
     """Compose a run from command-line overrides (Hydra syntax); raises ``BenchError`` with the accepted names."""
-    overrides = with_home(overrides)
-    parsed = check_overrides(overrides)
+    parsed = check_overrides(with_home(overrides))
     with _hydra():
         try:
-            composed = compose("config", list(overrides))
+            composed = compose("config", [_hydra_line(override) for override in parsed])
         except (HydraException, OmegaConfBaseException) as error:
             raise BenchError(_explain(error, parsed)) from error
     return resolved(composed)
@@ -185,11 +184,11 @@ def resolved(composed: DictConfig) -> RunConfig:
     assert isinstance(values, dict)
     plain: dict[str, Any] = {str(key): value for key, value in values.items()}
     _check_root(plain)
-    for kind in KINDS:
+    for kind in RUN_KINDS:
         if plain[kind] is None and kind not in SEVERAL_AT_ONCE:
             raise BenchError(f"No {kind} is chosen; there are {', '.join(registry.names(kind))}.")
-        for mapping in (plain[kind] or {}).values() if kind in SEVERAL_AT_ONCE else [plain[kind]]:
-            _make_paths_absolute(kind, mapping)
+    for kind, mapping in plugins_in(plain):
+        _make_paths_absolute(kind, mapping)
     Protocol.from_mapping(plain["protocol"])
     plain["cache"] = dataclasses.asdict(CacheConfig.from_mapping(plain["cache"]))
     require_choice("pipeline", plain["pipeline"], ["parallel", "sequential"])
@@ -215,6 +214,8 @@ def _check_root(values: Mapping[str, Any]) -> None:
         raise BenchError(f"seed={values['seed']} is negative; choose 0 or more.")
     if not values["checkpoint_s"] >= 0:
         raise BenchError(f"checkpoint_s={values['checkpoint_s']} must be 0 or more seconds, or inf for no checkpoints.")
+    if values["threads"] < 0:
+        raise BenchError(f"threads={values['threads']} must be 0 (all cores) or a positive number.")
     LimitsConfig(**values["limits"])
 
 
@@ -230,16 +231,31 @@ def check_overrides(overrides: Sequence[str]) -> list[Override]:
         ) from error
     load_plugins(plugin_folders(parsed))
     for override in parsed:
-        group = override.key_or_group
-        if group not in _groups() or override.is_delete() or override.is_sweep_override():
+        group = _group_of(override)
+        if group is None or override.is_delete() or override.is_sweep_override():
             continue
         value = override.value()
         for name in value if isinstance(value, list) else [value]:
             if str(name) not in _options(group):
-                if group in KINDS:
-                    _raise_unknown(group, str(name))
+                kind = registry.nested_groups.get(group, group)
+                if kind in registry.KINDS:
+                    _raise_unknown(kind, str(name), _options(group))
                 require_choice(group, str(name), _options(group))
     return parsed
+
+
+def _group_of(override: Override) -> str | None:
+    """The config group of which the override chooses a member, ``mapper/rasterizer`` for ``mapper.rasterizer=cpu``."""
+    group = override.key_or_group.replace(".", "/")
+    if group in registry.nested_groups:
+        return None if isinstance(override.value(), dict) else group
+    return group if group in (*RUN_KINDS, "system", "protocol") else None
+
+
+def _hydra_line(override: Override) -> str:
+    """The override as Hydra wants it: the choice of a plugin that is another's setting names a group, not a key."""
+    group, line = _group_of(override), override.input_line or ""
+    return line.replace(override.key_or_group, group, 1) if group in registry.nested_groups else line
 
 
 def plugin_folders(parsed: Sequence[Override]) -> list[str]:
@@ -253,20 +269,16 @@ def plugin_folders(parsed: Sequence[Override]) -> list[str]:
     return [str(folder) for folder in folders] if isinstance(folders, list) else [str(folders)]
 
 
-def _raise_unknown(kind: str, name: str) -> typing.NoReturn:
+def _raise_unknown(kind: str, name: str, options: list[str]) -> typing.NoReturn:
     registry.lookup(kind, name)
-    raise BenchError(f"Unknown {kind} '{name}'. Known: {', '.join(_options(kind))}.")
-
-
-def _groups() -> list[str]:
-    return [*KINDS, "system", "protocol"]
+    raise BenchError(f"Unknown {kind} '{name}'. Known: {', '.join(options)}.")
 
 
 def _options(group: str) -> list[str]:
     """Names that ``group=`` accepts: registered plugins and the presets in ``conf/``."""
     presets = {file.stem for file in (config_folder() / group).glob("*.yaml")}
     stored = {"default"} if group == "protocol" else set()
-    return sorted(presets | stored | (set(registry.names(group)) if group in KINDS else set()))
+    return sorted(presets | stored | set(registry.names(registry.nested_groups.get(group, group))))
 
 
 class _hydra:  # noqa: N801 - reads as a context manager
@@ -286,29 +298,41 @@ def _explain(error: Exception, parsed: list[Override]) -> str:
     for override in parsed:
         if override.is_sweep_override():
             return f"{override.input_line} names several values; add -m to run them all, or quote the value."
-    choices = [o.input_line or "" for o in parsed if o.key_or_group in _groups()]
+    choices = [_hydra_line(o) for o in parsed if _group_of(o) not in (None, *registry.nested_groups)]
     try:
         base = compose("config", choices)
     except (HydraException, OmegaConfBaseException):
         return first_line(cause)
-    for override in parsed:
-        if override.key_or_group in _groups():
+    # Plugins that are settings of others before the settings of those.
+    for override in sorted(parsed, key=lambda each: _group_of(each) is None):
+        if _hydra_line(override) in choices:
             continue
-        node: Any = base
-        path = ""
-        for part in override.key_or_group.split("."):
-            accepted = sorted(str(k) for k in node) if isinstance(node, DictConfig) else []
-            if part not in accepted:
-                where = f"{path} has no setting '{part}'" if path else f"There is no setting '{part}'"
-                names = f"; there are {', '.join(a for a in accepted if a != 'name')}" if accepted else ""
-                return f"{override.input_line}: {where}{names}.{did_you_mean(part, accepted)}"
-            path = f"{path}.{part}" if path else part
-            node = node[part]
+        unknown = _unknown_setting(base, override.key_or_group)
+        if unknown:
+            return f"{override.input_line}: {unknown}"
         try:
-            compose("config", [*choices, override.input_line or ""])
+            composed = compose("config", [*choices, _hydra_line(override)])
         except (HydraException, OmegaConfBaseException) as wrong:
             return f"{override.input_line}: {first_line(wrong.__cause__ or wrong)}"
+        if _group_of(override) is not None:
+            choices, base = [*choices, _hydra_line(override)], composed
     return first_line(cause)
+
+
+def _unknown_setting(base: DictConfig, key: str) -> str:
+    """What is wrong with a dotted key that ``base`` has not, and the nearest that it has; empty where it has it."""
+    node: Any = base
+    path = ""
+    for part in key.split("."):
+        accepted = sorted(str(k) for k in node) if isinstance(node, DictConfig) else []
+        if part not in accepted:
+            where = f"{path} has no setting '{part}'" if path else f"There is no setting '{part}'"
+            shown = ", ".join(each for each in accepted if each != "name")
+            near = [*accepted, *([] if path else (group.replace("/", ".") for group in registry.nested_groups))]
+            return f"{where}{f'; there are {shown}' if shown else ''}.{did_you_mean(part, near)}"
+        path = f"{path}.{part}" if path else part
+        node = node[part]
+    return ""
 
 
 def _make_paths_absolute(kind: str, mapping: dict[str, Any]) -> None:

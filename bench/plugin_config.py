@@ -1,10 +1,10 @@
-"""The typed config of a plugin, from plain data."""
+"""The plugins in a run's plain data, and the typed config of each."""
 
 from __future__ import annotations
 
 import dataclasses
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -12,7 +12,18 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bench import registry
 from bench.errors import BenchError, did_you_mean, first_line
-from bench.registry import PluginConfig
+from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, PluginConfig
+
+
+def plugins_in(values: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Kind and settings of every plugin that a resolved config names, those that are settings of others included."""
+    for kind in RUN_KINDS:
+        part = values.get(kind) or {}
+        for mapping in part.values() if kind in SEVERAL_AT_ONCE else [part]:
+            yield kind, mapping
+            for key, of_kind in registry.plugin_fields(registry.lookup(kind, mapping["name"]).config).items():
+                if isinstance(mapping.get(key), dict):
+                    yield of_kind, mapping[key]
 
 
 def plugin_config_from(kind: str, mapping: Mapping[str, Any]) -> PluginConfig:
@@ -25,14 +36,24 @@ def plugin_config_from(kind: str, mapping: Mapping[str, Any]) -> PluginConfig:
                 f"{kind}={plugin.name} has no setting '{key}'; it has {', '.join(accepted)}."
                 f"{did_you_mean(key, accepted)}"
             )
+    inner = registry.plugin_fields(plugin.config)
+    own = {key: value for key, value in mapping.items() if key not in inner}
     try:
-        merged = OmegaConf.merge(registry.config_node(plugin.config), dict(mapping))
+        merged = OmegaConf.merge(registry.config_node(plugin.config), own)
         _check_lengths(kind, plugin.config, merged)
         config = OmegaConf.to_object(merged)
     except OmegaConfBaseException as error:
         raise BenchError(f"{kind}={plugin.name}: {first_line(error)}") from error
     assert isinstance(config, plugin.config)
-    return config
+    chosen: dict[str, Any] = {key: _inner(kind, key, inner[key], mapping[key]) for key in inner if key in mapping}
+    return dataclasses.replace(config, **chosen) if chosen else config
+
+
+def _inner(kind: str, key: str, of_kind: str, value: Any) -> PluginConfig:
+    """The typed config of a setting that is a plugin."""
+    if not isinstance(value, Mapping):
+        raise BenchError(f"{kind}.{key}={value!r} is no {of_kind}; give its name, one of {registry.names(of_kind)}.")
+    return plugin_config_from(of_kind, value)
 
 
 def _check_lengths(kind: str, config: type[PluginConfig], values: Any) -> None:

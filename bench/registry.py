@@ -12,21 +12,25 @@ A plugin is a class with a frozen config dataclass beside it::
 
 The registered class is constructed as ``MyNet(config)``. Registering also puts the config into Hydra's ConfigStore, so
 ``stereo=my_net stereo.iterations=16`` works on the command line without any YAML file.
+
+A setting of a plugin can itself be a plugin (``plugin_field``): ``mapper.rasterizer=gsplat``.
 """
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, TypeVar
 
 from hydra.core.config_store import ConfigStore
-from omegaconf import Container, ListConfig, OmegaConf
+from omegaconf import Container, ListConfig, OmegaConf, open_dict
 
 from bench.errors import BenchError, did_you_mean
 
 KINDS = ("dataset", "stereo", "sky", "tracker", "keyframer", "mapper", "loss", "rasterizer", "evaluator")
+# Kinds that a run chooses itself; a rasterizer is a setting of the mappers that render Gaussians.
+RUN_KINDS = tuple(kind for kind in KINDS if kind != "rasterizer")
 # Kinds of which one run uses several at once; each config lives under its own key, for example `loss.geo.weight`.
 SEVERAL_AT_ONCE = ("loss", "evaluator")
 
@@ -36,6 +40,20 @@ class PluginConfig:
     """Base of every plugin's config; ``name`` is filled in by the registry."""
 
     name: str = ""
+
+
+def plugin_field(kind: str, default: str) -> Any:
+    """A field of a plugin's config that is itself a plugin, for example
+    ``rasterizer: PluginConfig = plugin_field("rasterizer", "cpu")``; the field holds the typed config of the chosen
+    one, for ``build``.
+    """
+    metadata = {"plugin": kind, "default": default}
+    return field(default_factory=lambda: lookup(kind, default).config(name=default), metadata=metadata)
+
+
+def plugin_fields(config: type[PluginConfig]) -> dict[str, str]:
+    """The kinds of plugins that a config's fields hold, by the field's name."""
+    return {each.name: each.metadata["plugin"] for each in fields(config) if "plugin" in each.metadata}
 
 
 @dataclass(frozen=True)
@@ -56,6 +74,9 @@ class Plugin:
 
 
 _plugins: dict[tuple[str, str], Plugin] = {}
+nested_groups: dict[str, str] = {}
+"""Kinds of plugins that are settings of others, by the config group that chooses one, for example ``mapper/rasterizer``
+(on the command line ``mapper.rasterizer=NAME``)."""
 # Plugin files that failed to import: file -> reason. Filled by discovery.
 broken_files: dict[str, str] = {}
 
@@ -68,6 +89,8 @@ def register(kind: str, name: str, config: type[PluginConfig] = PluginConfig) ->
         raise BenchError(f"Unknown plugin kind '{kind}'; the kinds are {', '.join(KINDS)}.{did_you_mean(kind, KINDS)}")
     if not (is_dataclass(config) and issubclass(config, PluginConfig)):
         raise BenchError(f"The config of {kind} plugin '{name}' must be a dataclass that derives from PluginConfig.")
+    if plugin_fields(config) and kind in SEVERAL_AT_ONCE:
+        raise BenchError(f"The config of {kind} plugin '{name}' can't hold a plugin: a run has several {kind} plugins.")
 
     def add(cls: C) -> C:
         file = inspect.getfile(cls)
@@ -77,19 +100,32 @@ def register(kind: str, name: str, config: type[PluginConfig] = PluginConfig) ->
             raise BenchError(f"Two {kind} plugins are called '{name}': {' and '.join(places)}. Rename one of them.")
         summary = (inspect.getdoc(cls) or "").split("\n", 1)[0]
         try:
-            node = config_node(config(name=name))
+            # The default of a field that is a plugin comes by the defaults list: its file may not be imported yet.
+            node = config_node(config(name=name, **{each: PluginConfig() for each in plugin_fields(config)}))
         except BenchError as error:
             raise ValueError(f"the defaults of {kind}={name} fail the config's own check: {error}") from error
         _plugins[kind, name] = Plugin(kind, name, cls, config, file, summary)
-        ConfigStore.instance().store(
-            group=kind,
-            name=name,
-            node=node,
-            package=f"{kind}.{name}" if kind in SEVERAL_AT_ONCE else kind,
-        )
+        _put_into_config_store(kind, name, config, node)
         return cls
 
     return add
+
+
+def _put_into_config_store(kind: str, name: str, config: type[PluginConfig], node: Container) -> None:
+    store = ConfigStore.instance()
+    inner = plugin_fields(config)
+    if inner:
+        defaults = {each.name: each.metadata["default"] for each in fields(config) if each.name in inner}
+        with open_dict(node):
+            node["defaults"] = ["_self_", *({each: choice} for each, choice in defaults.items())]
+    if kind in RUN_KINDS:
+        package = f"{kind}.{name}" if kind in SEVERAL_AT_ONCE else kind
+        store.store(group=kind, name=name, node=node, package=package)
+    nested_groups.update({f"{kind}/{each}": of_kind for each, of_kind in inner.items()})
+    for group, of_kind in nested_groups.items():
+        for option in names(of_kind):
+            settings = config_node(lookup(of_kind, option).config(name=option))
+            store.store(group=group, name=option, node=settings, package=group.replace("/", "."))
 
 
 def config_node(config: Any) -> Container:

@@ -219,11 +219,10 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class MappingReport:
-    """What the mapper says after a keyframe: PSNR of the newest keyframe in dB, loss terms by name, number of
-    Gaussians; ``events``: what happened to the map, in order."""
+    """What the mapper says after a keyframe: PSNR of the newest keyframe in dB, loss terms by name; ``events``: what
+    happened to the map, in order."""
 
     psnr_db: float
-    gaussians: int
     losses: dict[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
 

@@ -19,7 +19,7 @@ from bench.contracts.stereo import DepthSource
 from bench.contracts.tracker import Tracker
 from bench.discovery import load_plugins
 from bench.errors import BenchError
-from bench.registry import KINDS, SEVERAL_AT_ONCE
+from bench.registry import KINDS, RUN_KINDS, SEVERAL_AT_ONCE
 
 CONTRACTS: dict[str, type] = {
     "dataset": Dataset,
@@ -58,8 +58,15 @@ def candidate_of(overrides: Sequence[str], folders: Sequence[str] = ()) -> Candi
         raise BenchError(f"{named[0].input_line} names several plugins; check one at a time: {kind}=NAME.")
     small = _SMALL_FOR_TRACKER if kind == "tracker" else _SMALL
     surroundings = () if any(override.key_or_group.startswith("dataset") for override in parsed) else small
-    run = compose_run([*surroundings, *given])
-    config = run.several(kind)[0] if kind in SEVERAL_AT_ONCE else run.plugin(kind)
+    if kind in RUN_KINDS:
+        run = compose_run([*surroundings, *given])
+        config = run.several(kind)[0] if kind in SEVERAL_AT_ONCE else run.plugin(kind)
+    else:
+        # A setting of another plugin, such as mapper.rasterizer: checked where a run would have it.
+        holder, setting = next(group for group, held in registry.nested_groups.items() if held == kind).split("/")
+        own = [f"{holder}.{setting}{each.removeprefix(kind)}" if each.startswith(kind) else each for each in given]
+        run = compose_run([*surroundings, *own])
+        config = getattr(run.plugin(holder), setting)
     return Candidate(registry.lookup(kind, config.name), config, run)
 
 

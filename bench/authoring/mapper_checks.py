@@ -18,6 +18,7 @@ from plyfile import PlyData
 from bench import registry
 from bench.authoring import probes
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
+from bench.runs.folder import OTHER_FILES
 from bench.types import DepthMap, Float, Keyframe, MappingReport, PinholeView, RenderedView, Trajectory
 
 _KEYFRAMES = 3
@@ -68,10 +69,10 @@ class Subject:
         return PinholeView.of(self.dataset.camera, T_world_cam)
 
     def started(self) -> Any:
-        """A fresh instance, started with the rasterizer and the losses of the surroundings."""
+        """A fresh instance, started with the losses of the surroundings."""
         mapper = self.candidate.build()
         losses = [registry.build(loss, "loss") for loss in self.candidate.run.several("loss")]
-        mapper.start(self.dataset.camera, self.candidate.other("rasterizer"), losses, _SEED)
+        mapper.start(self.dataset.camera, losses, _SEED)
         return mapper
 
     def map(self, keyframes: list[Keyframe], break_after: int | None = None) -> Mapped:
@@ -131,29 +132,37 @@ def _require_view(subject: Subject, rendered: Any, what: str) -> None:
 
 def _empty(subject: Subject) -> str:
     mapper = subject.started()
-    if mapper.gaussians != 0:
+    size = mapper.size()
+    if not isinstance(size, dict) or any(not isinstance(count, int) for count in size.values()):
         raise ContractBrokenError(
-            f"{mapper.gaussians} Gaussians before the first keyframe",
+            f"size() is {size!r}", "whole numbers by name", 'return {"points": len(self.points)}', "size"
+        )
+    if any(size.values()):
+        raise ContractBrokenError(
+            f"{_in_words(size)} before the first keyframe",
             "0: start() empties the map",
             "reset in start()",
             "start",
         )
     mapper.finish()
-    return "no Gaussians before the first keyframe; finish() works on an empty map"
+    return "nothing in the map before the first keyframe; finish() works on an empty map"
+
+
+def _in_words(size: dict[str, int]) -> str:
+    return ", ".join(f"{count} {what}" for what, count in size.items()) or "a map without a size"
 
 
 def _learns(subject: Subject) -> str | Note:
     for k, report in enumerate(subject.mapped.reports):
-        if not isinstance(report, MappingReport) or not np.isfinite(report.psnr_db) or report.gaussians < 0:
+        if not isinstance(report, MappingReport) or not np.isfinite(report.psnr_db):
             raise ContractBrokenError(
                 f"add_keyframe() of keyframe {k} returned {report!r}",
                 "bench.types.MappingReport with a finite PSNR in dB",
-                "return MappingReport(psnr_db, self.gaussians, losses)",
+                "return MappingReport(psnr_db, losses)",
                 "add_keyframe",
             )
     last = subject.mapped.reports[-1]
-    counts = ", ".join(str(report.gaussians) for report in subject.mapped.reports)
-    text = f"{last.psnr_db:.2f} dB on the newest of {_KEYFRAMES} keyframes; Gaussians {counts}"
+    text = f"{last.psnr_db:.2f} dB on the newest of {_KEYFRAMES} keyframes; {_in_words(subject.mapped.mapper.size())}"
     image = subject.keyframes[-1].frame.left
     flat = _psnr(np.broadcast_to(image.mean(axis=(0, 1)) / 255, image.shape), image)
     return text if last.psnr_db > flat else Note(f"{text}: a flat colour would have {flat:.2f} dB")
@@ -192,7 +201,7 @@ def _renders(subject: Subject) -> str:
 def _repeats(subject: Subject) -> str:
     again = subject.map(subject.keyframes)
     probes.require_same(subject.mapped.newest.color, again.newest.color, "the same seed twice", "add_keyframe")
-    return f"the same seed twice: the same map ({again.mapper.gaussians} Gaussians)"
+    return f"the same seed twice: the same map ({_in_words(again.mapper.size())})"
 
 
 def _inputs(subject: Subject) -> str | Note:
@@ -211,19 +220,31 @@ def _inputs(subject: Subject) -> str | Note:
     return "left as they were; right images are not looked at"
 
 
-def _saves(subject: Subject) -> str:
+def _saves(subject: Subject) -> str | Note:
     mapper = subject.mapped.mapper
+    if mapper.map_file is None:
+        return Note("no map_file: runs with it save no map")
+    if Path(mapper.map_file).name != mapper.map_file or mapper.map_file in OTHER_FILES:
+        raise ContractBrokenError(
+            f"map_file is {mapper.map_file!r}",
+            "the name of a file that a run has no other use for",
+            'map_file = "map.npz"',
+            "save",
+        )
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "map.ply"
+        path = Path(folder) / mapper.map_file
         mapper.save(path)
         if not path.is_file():
             raise ContractBrokenError(
                 "save(path) wrote no file", "a file at exactly that path", "write to path", "save"
             )
+        if path.suffix != ".ply":
+            return f"{mapper.map_file} with {path.stat().st_size} bytes"
         count = PlyData.read(str(path))["vertex"].count
-    if count != mapper.gaussians:
+    gaussians = mapper.size().get("gaussians", count)
+    if count != gaussians:
         raise ContractBrokenError(
-            f"the PLY has {count} vertices, gaussians says {mapper.gaussians}",
+            f"the PLY has {count} vertices, size() says {gaussians} Gaussians",
             "equal numbers",
             "save all of them",
             "save",

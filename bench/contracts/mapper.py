@@ -8,8 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from bench.contracts.loss import LossTerm
-from bench.contracts.rasterizer import Rasterizer
-from bench.types import Event, Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
+from bench.contracts.map_view import MapView
+from bench.errors import BenchError
+from bench.types import Event, Keyframe, Map, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
+
+
+class CannotRenderError(BenchError):
+    """A view that a map can't show, with the reason: it is left out of the scores, and the run goes on."""
 
 
 class Mapper(ABC):
@@ -17,10 +22,14 @@ class Mapper(ABC):
 
     wants_keyframes: bool = True
     """False for a mapper that builds nothing: then stereo and sky are not computed, and nothing is rendered."""
+    map_file: str | None = None
+    """Name of the file in the run folder that ``save`` writes, for example ``map.ply``; None = it saves none."""
+    needs_depth: bool = False
+    """True for a mapper that renders a view with the help of the view's own stereo depth (neural points)."""
 
     @abstractmethod
-    def start(self, camera: StereoCamera, rasterizer: Rasterizer, losses: Sequence[LossTerm], seed: int) -> None:
-        """Called once before the first keyframe; all randomness comes from ``seed``."""
+    def start(self, camera: StereoCamera, losses: Sequence[LossTerm], seed: int) -> None:
+        """Called once before the first keyframe; all randomness comes from ``seed``. The map is empty."""
 
     @abstractmethod
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
@@ -64,14 +73,23 @@ class Mapper(ABC):
         raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to go on from it")
 
     @abstractmethod
-    def render(self, view: PinholeView) -> RenderedView:
-        """The map as seen from a view, as numpy arrays."""
+    def render(self, view: PinholeView, depth: Map | None = None) -> RenderedView:
+        """The map as seen from a view, as numpy arrays; raises ``CannotRenderError`` for a view that it can't show.
 
-    @property
-    @abstractmethod
-    def gaussians(self) -> int:
-        """Number of Gaussians in the map."""
+        ``depth`` (H, W) float32 metres, NaN where unknown, is given to one that ``needs_depth``: the stereo depth of
+        the view's own pair; None for a view that is no left image.
+        """
 
-    @abstractmethod
+    def view(self) -> MapView | None:
+        """What a tracker or keyframer that ``uses_map`` looks at: always the map of now. None (the default): it offers
+        nothing. Asked for after ``start``."""
+        return None
+
+    def size(self) -> dict[str, int]:
+        """How large the map is, as named numbers, for example ``{"gaussians": 120000}``; empty (the default) where no
+        number tells."""
+        return {}
+
     def save(self, path: Path) -> None:
-        """Write the map to ``path`` (PLY in the standard 3DGS layout for Gaussian maps)."""
+        """Write the map to ``path``, for one with a ``map_file``: PLY in the standard 3DGS layout for Gaussian maps."""
+        raise NotImplementedError(f"{type(self).__name__} names a map_file and has no save() to write it")

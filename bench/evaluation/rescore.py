@@ -13,10 +13,12 @@ from bench.config import compose_run, hash_of
 from bench.errors import BenchError
 from bench.evaluation.saved_run import SavedRunFolder
 from bench.runs.config_file import read_config, write_config
-from bench.runs.folder import MAP_FILE, METRICS_FILE, PER_FRAME_FILE, PLOT_FILE
+from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PLOT_FILE
 
 _OF_THE_RUN = ("holdout_every", "holdout_remainder", "rendered_depth")
 """Settings of the protocol that a run obeys while it maps and renders: scoring can't change them afterwards."""
+# Copied, since they are small and may be written again; what else there is, the map, is linked.
+_TEXTS = (".csv", ".json", ".jsonl", ".txt", ".yaml")
 _OF_SCORING = (METRICS_FILE, PER_FRAME_FILE, PLOT_FILE)
 
 
@@ -108,7 +110,7 @@ def _copy(run: SavedRunFolder, target: Path, config: dict[str, Any], config_hash
         staging.mkdir(parents=True)
         for source in sorted(run.path.iterdir()):
             if source.is_file() and not source.name.startswith(".") and source.name not in _OF_SCORING:
-                (_link if source.name == MAP_FILE else shutil.copy2)(source, staging / source.name)
+                (shutil.copy2 if source.suffix in _TEXTS else _link)(source, staging / source.name)
         for source in sorted(run.path.glob("views/*/*/*.png")):
             if re.fullmatch(r"\d{6,}", source.stem):
                 _link(source, staging / source.relative_to(run.path))

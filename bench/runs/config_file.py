@@ -19,7 +19,7 @@ RUNS_FOLDER = Path("results/runs")
 """Where run folders are made, and looked for, unless the user says otherwise; relative to the current folder."""
 _HASH_LINE = "# bgs-bench run, config hash "
 _MISSING = object()
-NO_PART_OF_THE_RUN = ("output", "rerun", "resume", "checkpoint_s", "limits", "plugins", "pipeline", "cache")
+NO_PART_OF_THE_RUN = ("output", "rerun", "resume", "checkpoint_s", "limits", "plugins", "pipeline", "threads", "cache")
 """Settings that can't change a result: where a run lies and how it was started."""
 
 

@@ -39,13 +39,12 @@ PROVENANCE_FILE = "provenance.json"
 METRICS_FILE = "metrics.json"
 PER_FRAME_FILE = "per_frame.csv"
 LOG_FILE = "log.txt"
-MAP_FILE = "map.ply"
 PLOT_FILE = "trajectory.png"
 
 FRAME_COLUMNS = ["number", "timestamp", "state", "mapped", "heldout"]
 """What each row of ``frames.csv`` has at least."""
 
-_RUN_FILES = (
+OTHER_FILES = (
     STATUS_FILE,
     FRAMES_FILE,
     EVENTS_FILE,
@@ -59,9 +58,9 @@ _RUN_FILES = (
     METRICS_FILE,
     PER_FRAME_FILE,
     LOG_FILE,
-    MAP_FILE,
     PLOT_FILE,
 )
+"""What a run writes but its map and the views."""
 _PICTURE = re.compile(r"\d{6,}\.png")
 # Depth PNGs hold metres * 256 as uint16, like KITTI's own depth maps; 0 = no depth.
 DEPTH_SCALE = 256.0
@@ -116,13 +115,19 @@ class RunFolder:
 
     @classmethod
     def create(
-        cls, path: Path, config: dict[str, Any], config_hash: str, rerun: bool, keep_log: bool = False
+        cls,
+        path: Path,
+        config: dict[str, Any],
+        config_hash: str,
+        rerun: bool,
+        keep_log: bool = False,
+        map_file: str | None = None,
     ) -> RunFolder:
         """Make or open the folder and write ``config.yaml``; older outputs of the same config are removed.
 
         A finished run of the same config is left as it is (``already_done``) unless ``rerun``; ``keep_log`` keeps the
-        log of one that will go on. Raises ``BenchError`` when the path is a file, can't be written, holds something
-        else or a run of another config, or is being written by a live process.
+        log of one that will go on, and ``map_file`` names the file of the map. Raises ``BenchError`` when the path is a
+        file, can't be written, holds something else or a run of another config, or is being written by a live process.
         """
         if path.exists() and not path.is_dir():
             raise BenchError(f"output={path} is a file. Name a folder that is empty or not there yet.")
@@ -132,7 +137,7 @@ class RunFolder:
                 _require_same_config(path, known, config, config_hash)
                 if _is_done(path) and not rerun:
                     return cls(path, already_done=True)
-                _remove_old_outputs(path, keep={LOG_FILE} if keep_log else set())
+                _remove_old_outputs(path, map_file, keep={LOG_FILE} if keep_log else set())
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -254,9 +259,9 @@ def _is_done(path: Path) -> bool:
     return status is not None and status.state == "done"
 
 
-def _remove_old_outputs(path: Path, keep: set[str]) -> None:
+def _remove_old_outputs(path: Path, map_file: str | None, keep: set[str]) -> None:
     """Remove the files that a run writes but those in ``keep``, and nothing else that may lie in the folder."""
-    for name in _RUN_FILES:
+    for name in (*OTHER_FILES, *([map_file] if map_file else [])):
         if name not in keep:
             (path / name).unlink(missing_ok=True)
     for view in VIEWS:

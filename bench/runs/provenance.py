@@ -46,7 +46,7 @@ def collect_provenance(config: dict[str, Any], seed: int, weights: Mapping[str, 
         "git": _git_state(),
         "command": list(sys.argv),
         "seed": seed,
-        "plugins": {kind: part["name"] for kind, part in config.items() if isinstance(part, dict) and part.get("name")},
+        "plugins": _plugins(config),
         "packages": _versions(),
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -59,6 +59,13 @@ def collect_provenance(config: dict[str, Any], seed: int, weights: Mapping[str, 
         },
         "weights": describe_weights(weights or {}),
     }
+
+
+def _plugins(config: dict[str, Any]) -> dict[str, str]:
+    """Name of the plugin of each kind of which a run has one, and of those that are settings of these."""
+    parts = {kind: part for kind, part in config.items() if isinstance(part, dict) and part.get("name")}
+    inner = {key: each for part in parts.values() for key, each in part.items() if isinstance(each, dict)}
+    return {key: part["name"] for key, part in (parts | inner).items() if part.get("name")}
 
 
 def describe_weights(weights: Mapping[str, Path]) -> dict[str, dict[str, str]]:

@@ -17,7 +17,7 @@ from bench.io.atomic import atomic_path
 from bench.protocol import Protocol
 from bench.runs.checkpoint import Snapshot
 from bench.runs.events import tell
-from bench.runs.folder import MAP_FILE, RESOURCES_FILE, RunFolder
+from bench.runs.folder import RESOURCES_FILE, RunFolder
 from bench.runs.memory import PeakMemory
 from bench.types import Event, PinholeView, RenderedView, Trajectory
 
@@ -107,17 +107,23 @@ def save_outputs(system: System, folder: RunFolder, done: Done, memory: PeakMemo
     folder.write_frames(done.rows)
     folder.write_events(done.events)
     folder.write_trajectory(_trajectory_so_far(system.tracker, done), _ground_truth_so_far(system.dataset, done))
-    if system.mapper.gaussians:
-        with atomic_path(folder.path / MAP_FILE) as temporary:
+    size = system.mapper.size()
+    if system.mapper.map_file is not None and _holds_something(size, done):
+        with atomic_path(folder.path / system.mapper.map_file) as temporary:
             system.mapper.save(temporary)
     per_frame = {f"{stage}_s_per_frame": seconds / frames for stage, seconds in done.seconds.items()}
     folder.write_json(
         RESOURCES_FILE,
-        {"peak_memory_gb": done.peak_memory_gb(memory), "gaussians": system.mapper.gaussians, "frames": len(done.rows)}
+        {"peak_memory_gb": done.peak_memory_gb(memory), **size, "frames": len(done.rows)}
         | {f"{what}_cached_frames": sum(row[f"{what}_cached"] for row in done.rows) for what in ("tracking", "stereo")}
         | per_frame
         | {"wall_s_per_frame": None if done.wall_s is None else done.wall_s / frames},
     )
+
+
+def _holds_something(size: dict[str, int], done: Done) -> bool:
+    """Whether there is a map to save: an empty one, after a failure in the first keyframe, is none."""
+    return any(size.values()) if size else any(row["mapped"] for row in done.rows)
 
 
 def _trajectory_so_far(tracker: Tracker, done: Done) -> Trajectory:

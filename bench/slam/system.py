@@ -19,7 +19,7 @@ from typing import Any
 
 import torch
 
-from bench import registry
+from bench import _native, registry
 from bench.cache import cached_depth_source, cached_segmenter, cached_tracker
 from bench.config import RunConfig
 from bench.contracts.dataset import Dataset
@@ -29,8 +29,8 @@ from bench.contracts.sky import SkySegmenter
 from bench.contracts.stereo import DepthSource
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
+from bench.plugin_config import plugins_in
 from bench.protocol import Protocol
-from bench.registry import KINDS, SEVERAL_AT_ONCE
 from bench.runs.checkpoint import Checkpoints, Snapshot
 from bench.runs.events import check_events
 from bench.runs.fingerprint import fingerprint
@@ -71,13 +71,13 @@ class System:
     @classmethod
     def build(cls, config: RunConfig) -> System:
         """Construct every plugin; raises ``BenchError`` for bad settings or bad data, before anything is written."""
+        _native.set_threads(config.values["threads"] or torch.get_num_threads())
         dataset = registry.build(config.plugin("dataset"), "dataset")
         parts = {
             kind: registry.build(config.plugin(kind), kind)
             for kind in ("tracker", "keyframer", "stereo", "sky", "mapper")
         }
         losses = [registry.build(loss, "loss") for loss in config.several("loss")]
-        rasterizer = registry.build(config.plugin("rasterizer"), "rasterizer")
         for evaluator in config.several("evaluator"):
             registry.lookup("evaluator", evaluator.name)
         parts["stereo"] = cached_depth_source(parts["stereo"], config.plugin("stereo"), dataset, config.cache)
@@ -87,7 +87,7 @@ class System:
         )
         parts["tracker"].start(dataset)
         parts["stereo"].start(dataset)
-        parts["mapper"].start(dataset.camera, rasterizer, losses, config.values["seed"])
+        parts["mapper"].start(dataset.camera, losses, config.values["seed"])
         return cls(dataset=dataset, protocol=config.protocol, **parts)
 
     def weights(self) -> dict[str, Path]:
@@ -107,7 +107,9 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
     values = config.values
     system = System.build(config)
     going_on = values["resume"] and not values["rerun"]
-    folder = RunFolder.create(config.output, values, config.hash, rerun=values["rerun"], keep_log=going_on)
+    folder = RunFolder.create(
+        config.output, values, config.hash, values["rerun"], keep_log=going_on, map_file=system.mapper.map_file
+    )
     if folder.already_done:
         system.tracker.finish()
         return folder
@@ -141,9 +143,8 @@ def run_system(config: RunConfig, progress: Progress | None = None) -> RunFolder
 
 def _fingerprint(config: RunConfig, system: System) -> str:
     """What a checkpoint of this run must have been made with."""
-    used = [(kind, config.plugin(kind).name) for kind in KINDS if kind not in SEVERAL_AT_ONCE]
-    used += [("loss", loss.name) for loss in config.several("loss")]
-    return fingerprint(config.hash, [registry.lookup(kind, name).cls for kind, name in used], system.weights())
+    used = [registry.lookup(kind, part["name"]) for kind, part in plugins_in(config.values) if kind != "evaluator"]
+    return fingerprint(config.hash, [plugin.cls for plugin in used], system.weights())
 
 
 class ReplayDiffersError(Exception):
@@ -190,8 +191,7 @@ class _Run:
         """Tell the tracker, once, that no frame follows."""
         if self._tracking:
             self._tracking = False
-            with self.done.timed("tracking"):
-                self.system.tracker.finish()
+            self.system.tracker.finish()
 
     def _map_frames(self, snapshot: Snapshot | None) -> None:
         values = self.config.values
@@ -308,15 +308,22 @@ def _map_keyframe(system: System, done: Done, seen: Seen) -> dict[str, Any]:
         report = system.mapper.add_keyframe(seen.keyframe, seen.window)
     done.psnr_db = report.psnr_db
     _note_of_mapper(system, done, report.events)
+    size = system.mapper.size()
     log.info(
-        "frame %d: keyframe (%s), %d Gaussians, %.2f dB, %s",
-        *(seen.keyframe.frame.number, seen.row["keyframe_reason"], report.gaussians, report.psnr_db),
-        ", ".join(f"{name} {value:.4f}" for name, value in report.losses.items()),
+        "frame %d: keyframe (%s), %s",
+        *(seen.keyframe.frame.number, seen.row["keyframe_reason"]),
+        ", ".join(
+            [
+                *(f"{count} {what}" for what, count in size.items()),
+                f"{report.psnr_db:.2f} dB",
+                *(f"{name} {value:.4f}" for name, value in report.losses.items()),
+            ]
+        ),
     )
     return {
         "mapped": True,
         "psnr_while_mapping": report.psnr_db,
-        "gaussians": report.gaussians,
+        **size,
     }
 
 

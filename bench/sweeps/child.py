@@ -27,8 +27,8 @@ _OUT_OF_MEMORY = "the system ended it for want of memory"
 def environment_of(slot: int, jobs: int, gpus: Sequence[str]) -> dict[str, str]:
     """Environment of the run in a slot (0 to jobs - 1): its share of the cores, and a GPU by turns.
 
-    The rasterizer's threads follow ``OMP_NUM_THREADS``, so that a run's config, and its folder, are the same for any
-    number of jobs. With more jobs than GPUs some share one.
+    The core's threads follow ``OMP_NUM_THREADS`` where a run's ``threads`` is 0. With more jobs than GPUs some share
+    one.
     """
     environment = dict(os.environ)
     if jobs > 1:

@@ -14,7 +14,8 @@ from bench import registry
 from bench.config import RunConfig, check_overrides, compose_run, resolved, with_home
 from bench.errors import BenchError
 from bench.installed_data import config_folder
-from bench.registry import KINDS, SEVERAL_AT_ONCE
+from bench.plugin_config import plugins_in
+from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE
 from bench.runs.config_file import RUNS_FOLDER
 from bench.sweeps.job import Job
 from bench.tables.named.definitions import Cell, NamedTable, cells
@@ -131,7 +132,7 @@ def _without_plugin(cell: Cell) -> str:
     """Why the bench has no such plugin, or an empty string."""
     for override in cell.overrides:
         kind, _, name = override.partition("=")
-        if kind in KINDS and kind not in SEVERAL_AT_ONCE and name not in registry.names(kind):
+        if kind in RUN_KINDS and kind not in SEVERAL_AT_ONCE and name not in registry.names(kind):
             preset = config_folder() / kind / f"{name}.yaml"
             if not preset.is_file():
                 return f"there is no {kind} plugin '{name}'"
@@ -162,10 +163,10 @@ def _compose(table: NamedTable, cell: Cell, common: Sequence[str]) -> RunConfig:
 
 def _unavailable(config: RunConfig, known: dict[str, int | str]) -> str:
     """Why a plugin of the run can't work on this machine, or an empty string; asked once for each."""
-    for kind in KINDS:
+    for kind, part in plugins_in(config.values):
         if kind in SEVERAL_AT_ONCE:
             continue
-        name = config.values[kind]["name"]
+        name = part["name"]
         key = f"{kind}={name}"
         if key not in known:
             reason = registry.lookup(kind, name).unavailable_reason()

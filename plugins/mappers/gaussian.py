@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from bench import registry
 from bench.contracts.loss import LossTerm
 from bench.contracts.mapper import Mapper
 from bench.contracts.rasterizer import Rasterizer
@@ -21,9 +22,9 @@ from bench.gaussians.map import GaussianMap
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
 from bench.gaussians.schema import MAX_DEGREE, OPACITY_LOGIT
 from bench.gaussians.seeding import SeedingConfig, depth_to_seed_from, seed_gaussians
-from bench.registry import PluginConfig, register
+from bench.registry import PluginConfig, plugin_field, register
 from bench.supervision.target import Target, target_of
-from bench.types import Event, Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
+from bench.types import Event, Keyframe, Map, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,8 @@ class GaussianMapperConfig(PluginConfig):
     """The same in degrees; one of the two is enough."""
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
     """Where new Gaussians start."""
+    rasterizer: PluginConfig = plugin_field("rasterizer", "cpu")
+    """What renders the Gaussians: `mapper.rasterizer=NAME`, one of `bgs-bench list rasterizer`."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.sh_degree <= MAX_DEGREE:
@@ -94,16 +97,19 @@ class GaussianMapperConfig(PluginConfig):
 class GaussianMapper(Mapper):
     """BGS-SLAM's mapping: seeds from stereo depth, the loss terms of the run, a window of keyframes plus replay."""
 
+    map_file = "map.ply"
+
     def __init__(self, config: GaussianMapperConfig) -> None:
         self.config = config
+        self._rasterizer: Rasterizer = registry.build(config.rasterizer, "rasterizer")
 
-    def start(self, camera: StereoCamera, rasterizer: Rasterizer, losses: Sequence[LossTerm], seed: int) -> None:
+    def start(self, camera: StereoCamera, losses: Sequence[LossTerm], seed: int) -> None:
         c = self.config
-        self._camera, self._rasterizer, self._losses = camera, rasterizer, LossStack(losses)
+        self._camera, self._losses = camera, LossStack(losses)
         self._random = np.random.default_rng(seed)
         rates = LearningRates(c.position_rate, c.color_rate, c.opacity_rate, c.scale_rate, c.rotation_rate)
         self._optimizer = MapOptimizer(rates)
-        self._map = GaussianMap(c.sh_degree, rasterizer.device)
+        self._map = GaussianMap(c.sh_degree, self._rasterizer.device)
         self._keyframes: dict[int, Keyframe] = {}
         self._targets: OrderedDict[int, tuple[Target, Target]] = OrderedDict()
         self._final_done = 0
@@ -111,7 +117,11 @@ class GaussianMapper(Mapper):
 
     @property
     def gaussians(self) -> int:
+        """Number of Gaussians in the map."""
         return len(self._map)
+
+    def size(self) -> dict[str, int]:
+        return {"gaussians": self.gaussians}
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
         number = keyframe.frame.number
@@ -124,7 +134,7 @@ class GaussianMapper(Mapper):
             values = self._iterate(self._choose(number, window), half=iteration < coarse) or values
         self._prune()
         psnr_db, events = self._psnr(number), self._events(number)
-        return MappingReport(psnr_db, self.gaussians, values, events)
+        return MappingReport(psnr_db, values, events)
 
     def update_poses(self, trajectory: Trajectory) -> None:
         for number, pose in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
@@ -171,7 +181,7 @@ class GaussianMapper(Mapper):
         self._final_done = state["final_done"]
         self._random.bit_generator.state = json.loads(state["random"])
 
-    def render(self, view: PinholeView) -> RenderedView:
+    def render(self, view: PinholeView, depth: Map | None = None) -> RenderedView:
         rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
         color = rendered.color.clamp(0.0, 1.0).permute(1, 2, 0).float().cpu().numpy()
         return RenderedView(color, rendered.depth.float().cpu().numpy(), rendered.alpha.float().cpu().numpy())

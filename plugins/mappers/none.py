@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from bench.contracts.loss import LossTerm
 from bench.contracts.mapper import Mapper
-from bench.contracts.rasterizer import Rasterizer
 from bench.errors import BenchError
 from bench.registry import PluginConfig, register
-from bench.types import Keyframe, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
+from bench.types import Keyframe, Map, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
 
 
 @register("mapper", "none")
@@ -22,12 +20,12 @@ class NoMapper(Mapper):
     def __init__(self, config: PluginConfig) -> None:
         self.config = config
 
-    def start(self, camera: StereoCamera, rasterizer: Rasterizer, losses: Sequence[LossTerm], seed: int) -> None:
+    def start(self, camera: StereoCamera, losses: Sequence[LossTerm], seed: int) -> None:
         """Nothing to prepare."""
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
         """Nothing is learnt."""
-        return MappingReport(float("nan"), 0)
+        return MappingReport(float("nan"))
 
     def update_poses(self, trajectory: Trajectory) -> None:
         """There is nothing that could move."""
@@ -35,15 +33,6 @@ class NoMapper(Mapper):
     def finish(self) -> None:
         """Nothing is left to do."""
 
-    def render(self, view: PinholeView) -> RenderedView:
+    def render(self, view: PinholeView, depth: Map | None = None) -> RenderedView:
         """There is nothing to see; raises ``BenchError``."""
         raise BenchError("mapper=none has no map to render; choose another mapper, for example mapper=gaussian.")
-
-    @property
-    def gaussians(self) -> int:
-        """Always 0."""
-        return 0
-
-    def save(self, path: Path) -> None:
-        """There is no map to save; raises ``BenchError``."""
-        raise BenchError("mapper=none has no map to save; choose another mapper, for example mapper=gaussian.")

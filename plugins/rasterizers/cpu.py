@@ -3,40 +3,25 @@
 from __future__ import annotations
 
 import importlib.util
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from bench.contracts.rasterizer import Gradients, Observation, Rasterizer, Rendered
-from bench.errors import BenchError
 from bench.registry import PluginConfig, register
 from bench.types import PinholeView
 
 
-@dataclass(frozen=True)
-class CpuRasterizerConfig(PluginConfig):
-    """How many cores render."""
-
-    threads: int = 0
-    """Threads; 0: all cores. The result is the same, bit for bit, for any number."""
-
-    def __post_init__(self) -> None:
-        if self.threads < 0:
-            raise BenchError(f"rasterizer.threads={self.threads} must be 0 (all cores) or a positive number.")
-
-
-@register("rasterizer", "cpu", config=CpuRasterizerConfig)
+@register("rasterizer", "cpu")
 class CpuRasterizer(Rasterizer):
     """C++17 core, eight lanes wide, on all cores; the same bits for any number of threads."""
 
-    def __init__(self, config: CpuRasterizerConfig) -> None:
+    def __init__(self, config: PluginConfig) -> None:
         import bench._native as _native
 
         self.device = torch.device("cpu")
         self._native = _native
-        _native.set_threads(config.threads or torch.get_num_threads())
         self._free: list = []  # workspaces between uses
 
     @classmethod

@@ -22,7 +22,12 @@ REFUSED = {
     "keyframer=covisible": r"Unknown keyframer 'covisible'\..*Did you mean 'covisibility'\?",
     "mapper=gausian": r"Unknown mapper 'gausian'\..*Did you mean 'gaussian'\?",
     "loss=[rgb,smoth]": r"Unknown loss 'smoth'\..*Did you mean 'smooth'\?",
-    "rasterizer=cpuu": r"Unknown rasterizer 'cpuu'\..*Did you mean 'cpu'\?",
+    "mapper.rasterizer=cpuu": r"Unknown rasterizer 'cpuu'\..*Did you mean 'cpu'\?",
+    "rasterizer=cpu": r"There is no setting 'rasterizer'; there are .*Did you mean 'mapper\.rasterizer'\?",
+    "mapper.rasterizer.threads=2": r"mapper\.rasterizer has no setting 'threads'\.",
+    "+mapper.rasterizer.threads=2": r"rasterizer=cpu has no setting 'threads'; it has name\.",
+    "mapper.rasterizer={name: cpux}": r"Unknown rasterizer 'cpux'\. .*Did you mean 'cpu'\?",
+    "threads=-1": r"threads=-1 must be 0 \(all cores\) or a positive number",
     "evaluator=[atee]": r"Unknown evaluator 'atee'\..*Did you mean 'ate'\?",
     "system=bgs_slan": r"system='bgs_slan' is not one of bgs_slam, .*Did you mean 'bgs_slam'\?",
     "protocol=papr": r"protocol='papr' is not one of ",
@@ -56,7 +61,7 @@ REFUSED = {
 def compose_and_type(override: str) -> None:
     """What a run does with its config before anything is built."""
     config = compose_run([override])
-    for kind in registry.KINDS:
+    for kind in registry.RUN_KINDS:
         if kind in registry.SEVERAL_AT_ONCE:
             config.several(kind)
         else:
@@ -83,6 +88,43 @@ def test_values_arrive_typed() -> None:
     assert config.values["seed"] == 4
 
 
+@dataclass(frozen=True)
+class OutlinedConfig(PluginConfig):
+    """Like that of a rasterizer of a user's."""
+
+    width_px: int = 2
+    colours: str = field(default="", metadata={"path": True})
+
+
+def test_a_setting_can_be_a_plugin_with_settings_of_its_own(
+    clean_registry: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its default, another by name, in a preset, its own settings, a sweep; it is part of the hash."""
+    register("rasterizer", "outlined_for_tests", config=OutlinedConfig)(type("Outlined", (), {"__module__": __name__}))
+    monkeypatch.chdir(tmp_path)
+    usual = compose_run([])
+    assert usual.values["mapper"]["rasterizer"] == {"name": "cpu"}
+    outlined = compose_run(["mapper=gaussian_fast", "mapper.rasterizer=outlined_for_tests", "mapper.iterations=3"])
+    assert outlined.values["mapper"]["rasterizer"] == {"name": "outlined_for_tests", "width_px": 2, "colours": ""}
+    assert outlined.plugin("mapper").rasterizer == OutlinedConfig("outlined_for_tests")  # type: ignore[attr-defined]
+    fine = ["mapper.rasterizer.width_px=1", "mapper.rasterizer=outlined_for_tests", "mapper.rasterizer.colours=a/b"]
+    assert compose_run(fine).plugin("mapper").rasterizer == OutlinedConfig(  # type: ignore[attr-defined]
+        "outlined_for_tests", 1, str(tmp_path / "a/b")
+    )
+    both = compose_sweep(["mapper.rasterizer=cpu,outlined_for_tests"])
+    assert both[0].hash == usual.hash != both[1].hash
+    with pytest.raises(BenchError, match=r"mapper\.rasterizer has no setting 'width'; .*Did you mean 'width_px'\?"):
+        compose_run(["mapper.rasterizer=outlined_for_tests", "mapper.rasterizer.width=1"])
+    with pytest.raises(BenchError, match=r"rasterizer\.width_px=x: .*'x'.*Integer"):
+        compose_run(["mapper.rasterizer=outlined_for_tests", "mapper.rasterizer.width_px=x"])
+
+
+def test_a_mapper_without_gaussians_has_no_rasterizer() -> None:
+    assert compose_run(["mapper=none"]).values["mapper"] == {"name": "none"}
+    with pytest.raises(BenchError, match=r"mapper\.rasterizer=cpu: mapper has no setting 'rasterizer'\."):
+        compose_run(["mapper=none", "mapper.rasterizer=cpu"])
+
+
 def test_the_paper_preset_has_the_papers_numbers() -> None:
     """Colour 2.5e-3, rotation 1e-3, scale 1e-3, opacity 5e-2, removal 5e-3; weights .8 .2 .1 .1 .5."""
     config = compose_run(["system=bgs_slam_paper"])
@@ -102,6 +144,7 @@ def test_hash_does_not_depend_on_order_place_or_rerun(tmp_path: Path) -> None:
         ["seed=1", "stereo.num_disparities=96", f"output={tmp_path}"],
         ["seed=1", "stereo.num_disparities=96", "rerun=true"],
         ["seed=1", "stereo.num_disparities=96", "pipeline=sequential"],
+        ["seed=1", "stereo.num_disparities=96", "threads=1"],
         ["seed=1", "stereo.num_disparities=96", f"plugins=[{tmp_path}]"],
         ["seed=1", "stereo.num_disparities=96", "loss.rgb.weight=0.8"],  # the default, said aloud
     ]

@@ -12,10 +12,10 @@ from bench.contracts.rasterizer import Gradients, Rendered
 from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.map import GaussianMap
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
-from bench.registry import lookup
+from bench.registry import PluginConfig, lookup
 from bench.supervision.ssim import local_statistics, ssim
 from bench.supervision.target import Target
-from plugins.rasterizers.cpu import CpuRasterizer, CpuRasterizerConfig
+from plugins.rasterizers.cpu import CpuRasterizer
 from tests.performance.scenes import VIEW, elongated, interleaved, isotropic, report
 
 SIZE = (VIEW.height, VIEW.width)
@@ -52,7 +52,7 @@ def whole_iteration(rasterizer: CpuRasterizer, planes: Tensor) -> Callable[[], N
 
 
 def test_rasterizer_against_matrix_product() -> None:
-    rasterizer = CpuRasterizer(CpuRasterizerConfig())
+    rasterizer = CpuRasterizer(PluginConfig("cpu"))
     small, large, long = isotropic(100_000), isotropic(1_000_000), elongated(100_000)
     lighter = isotropic(100_000, radius_px=4.05)
     seconds = interleaved(
@@ -135,7 +135,7 @@ def test_torch_projection_against_ours_whole() -> None:
         )
         (means2d.sum() + depths.sum() + conics.sum()).backward()
 
-    rasterizer = CpuRasterizer(CpuRasterizerConfig())
+    rasterizer = CpuRasterizer(PluginConfig("cpu"))
     seconds = interleaved({"gsplat's torch projection": project, "our whole pass": render_and_back(rasterizer, planes)})
     ratio = seconds["gsplat's torch projection"] / seconds["our whole pass"]
     report("projection", seconds, {"torch projection / our whole pass": ratio})

@@ -14,7 +14,7 @@ from bench.contracts.rasterizer import Rasterizer
 from bench.gaussians.schema import planes_of
 from bench.registry import PluginConfig
 from bench.types import PinholeView
-from plugins.rasterizers.cpu import CpuRasterizer, CpuRasterizerConfig
+from plugins.rasterizers.cpu import CpuRasterizer
 from plugins.rasterizers.reference import ReferenceRasterizer
 
 SCENES = {
@@ -40,7 +40,8 @@ def _threads_as_before() -> Iterator[None]:
 
 
 def cpu(threads: int = 1) -> CpuRasterizer:
-    return CpuRasterizer(CpuRasterizerConfig("cpu", threads=threads))
+    _native.set_threads(threads)
+    return CpuRasterizer(PluginConfig("cpu"))
 
 
 def reference() -> ReferenceRasterizer:

@@ -17,7 +17,7 @@ from bench.errors import BenchError
 from bench.gaussians.spherical_harmonics import basis
 from bench.registry import PluginConfig
 from bench.types import PinholeView
-from plugins.rasterizers.cpu import CpuRasterizer, CpuRasterizerConfig
+from plugins.rasterizers.cpu import CpuRasterizer
 from plugins.rasterizers.gsplat import GsplatRasterizer
 from plugins.rasterizers.reference import ReferenceRasterizer
 
@@ -43,7 +43,7 @@ def test_images_and_gradients_agree(gsplat: GsplatRasterizer, spec: SceneSpec) -
     grads = image_gradients(view, 1)
     on_gpu = tuple(g.to(gsplat.device) for g in grads)
     mine, by_mine = render_and_back(gsplat, planes.to(gsplat.device), view, on_gpu)  # type: ignore[arg-type]
-    others = (CpuRasterizer(CpuRasterizerConfig("cpu")), ReferenceRasterizer(PluginConfig("reference")))
+    others = (CpuRasterizer(PluginConfig("cpu")), ReferenceRasterizer(PluginConfig("reference")))
     for other in others:
         true, by_true = render_and_back(other, planes, view, grads)
         for name in ("color", "depth", "alpha"):

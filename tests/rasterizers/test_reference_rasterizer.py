@@ -16,7 +16,6 @@ from bench.gaussians.parameters import planes_from
 from bench.gaussians.schema import COLOR, QUATERNION
 from bench.registry import PluginConfig
 from bench.types import PinholeView
-from plugins.rasterizers.cpu import CpuRasterizerConfig
 from plugins.rasterizers.reference import ReferenceRasterizer
 
 F, CX, CY, W, H = 40.0, 10.0, 8.0, 21, 17
@@ -25,8 +24,7 @@ VIEW = PinholeView(np.eye(4), F, F, CX, CY, W, H)
 
 @pytest.fixture(params=["reference", "cpu"])
 def rasterizer(request: pytest.FixtureRequest) -> Rasterizer:
-    config = CpuRasterizerConfig("cpu") if request.param == "cpu" else PluginConfig(request.param)
-    built = registry.build(config, "rasterizer")
+    built = registry.build(PluginConfig(request.param), "rasterizer")
     assert isinstance(built, Rasterizer)
     return built
 

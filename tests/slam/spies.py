@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.contracts.loss import LossTerm
-from bench.contracts.rasterizer import Rasterizer
 from bench.registry import PluginConfig, register
 from bench.types import Event, Keyframe, MappingReport, StereoCamera, StereoFrame, TrackingResult, Trajectory
 from plugins.mappers.gaussian import GaussianMapper, GaussianMapperConfig
@@ -23,8 +22,8 @@ class SpyMapper(GaussianMapper):
     poses: list[Trajectory]
     finished: int
 
-    def start(self, camera: StereoCamera, rasterizer: Rasterizer, losses: Sequence[LossTerm], seed: int) -> None:
-        super().start(camera, rasterizer, losses, seed)
+    def start(self, camera: StereoCamera, losses: Sequence[LossTerm], seed: int) -> None:
+        super().start(camera, losses, seed)
         type(self).seen, type(self).poses, type(self).finished = [], [], 0
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:

@@ -163,7 +163,7 @@ def test_runs_outside_the_main_thread(tmp_path: Path) -> None:
 
 
 def test_the_oracle_can_map_too(tmp_path: Path) -> None:
-    """rasterizer=reference computes in float64 and serves a mapper that works in float32."""
+    """mapper.rasterizer=reference computes in float64 and serves a mapper that works in float32."""
     small = [
         "dataset.width=64",
         "dataset.height=32",
@@ -171,7 +171,7 @@ def test_the_oracle_can_map_too(tmp_path: Path) -> None:
         "mapper.iterations=2",
         "mapper.seeding.stride=4",
     ]
-    folder = run(tmp_path / "run", "tracker=groundtruth", "rasterizer=reference", *small[2:], *small[:2])
+    folder = run(tmp_path / "run", "tracker=groundtruth", "mapper.rasterizer=reference", *small[2:], *small[:2])
     assert state_of(folder.path)[0] == "done"
 
 

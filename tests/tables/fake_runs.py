@@ -32,7 +32,6 @@ def config(
         "tracker": {"name": "stereo_orb"},
         "mapper": {"name": "gaussian", "iterations": 60},
         "loss": {name: {"name": name, "weight": 1.0} for name in losses},
-        "rasterizer": {"name": "cpu"},
         "evaluator": {"ate": {"name": "ate"}},
     }
     if "geo" in losses:

@@ -22,7 +22,7 @@ _STATED = (
     ("tracker.name", "tracker"),
     ("mapper.name", "mapper"),
     ("mapper.iterations", "iterations"),
-    ("rasterizer.name", "rasterizer"),
+    ("mapper.rasterizer.name", "rasterizer"),
 )
 _VIEWS = {
     "left": "all left views",
