@@ -53,6 +53,18 @@ def drive(tracker: FakeTracker, frames: int) -> list[TrackingResult]:
     return results
 
 
+def test_a_peer_needs_right_images() -> None:
+    frames = Frames(2)
+    frames.has_right = False
+    with pytest.raises(BenchError, match=r"tracker=fake needs right images, and grey has none\. Choose tracker="):
+        FakeTracker().start(frames)
+    tracker = FakeTracker()
+    tracker.start(Frames(2))
+    with pytest.raises(BenchError, match="tracker=fake needs a right image, and frame 10 has none"):
+        tracker.track(StereoFrame(10, 1.0, GREY))
+    tracker.finish()
+
+
 def states(results: list[TrackingResult]) -> str:
     return " ".join(result.state for result in results)
 
