@@ -12,7 +12,7 @@ from bench.contracts.saved_run import SavedRun
 from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.frame_states import count_states
-from bench.evaluation.gaps import about_gaps
+from bench.evaluation.gaps import about_gaps, about_not_rendered
 from bench.evaluation.metrics import DECLARED, brought_with
 from bench.evaluation.saved_run import ProgressReport, SavedRunFolder
 from bench.io.atomic import write_json, write_text
@@ -46,6 +46,8 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
         metrics[DECLARED] = brought
     gaps = about_gaps(run.frames)
     merge(metrics, {"notes": {"output": gaps}} if gaps else {})
+    missing = about_not_rendered(run.not_rendered)
+    merge(metrics, {"notes": {"renders": missing}} if missing else {})
     _record_weights(run)
     write_text(run.path / PER_FRAME_FILE, run.per_frame().to_csv(index=False))
     write_json(run.path / METRICS_FILE, metrics)

@@ -12,7 +12,7 @@ from foreign_case import COUNT, curve, write_depth, write_poses, write_renders
 @pytest.fixture
 def no_plot(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing the trajectory takes most of the time of a tiny run; test_same_evaluators.py has it drawn."""
-    monkeypatch.setattr("plugins.evaluators.ate.write_trajectory_plot", lambda *_: None)
+    monkeypatch.setattr("bench.report.trajectory_plot.write_trajectory_plot", lambda *_: None)
 
 
 @pytest.fixture
