@@ -37,7 +37,6 @@ class Seen:
 def front_end(system: System) -> Generator[Seen, None, None]:
     """Tracking, keyframing, stereo and sky of every frame, in order."""
     camera = system.dataset.camera
-    lost = False
     for position, frame in prefetch(system.dataset):
         start = time.perf_counter()
         tracking = _checked(system.tracker.track(frame), frame, system.tracker)
@@ -56,18 +55,14 @@ def front_end(system: System) -> Generator[Seen, None, None]:
             "stereo_s": 0.0,
             "stereo_cached": False,
         }
-        events = tracking.events
-        if tracking.state == "lost" and not lost:
-            events += (Event("lost", frame.number),)
-        lost = tracking.state == "lost"
-        if lost or row["heldout"]:
-            yield Seen(row, events)
+        if tracking.state == "lost" or row["heldout"]:
+            yield Seen(row, tracking.events)
             continue
         decision = system.keyframer.update(frame, tracking)
         row["keyframe_reason"] = decision.reason
         row["is_keyframe"] = decision.is_keyframe
         if not (decision.is_keyframe and system.mapper.wants_keyframes):
-            yield Seen(row, events)
+            yield Seen(row, tracking.events)
             continue
         start = time.perf_counter()
         depth = system.stereo.depth(frame, position, camera)
@@ -80,7 +75,7 @@ def front_end(system: System) -> Generator[Seen, None, None]:
         trajectory = system.tracker.trajectory()
         pose = trajectory.pose_of(frame.number)
         assert pose is not None
-        yield Seen(row, events, Keyframe(frame, depth, sky, pose), decision.window, trajectory)
+        yield Seen(row, tracking.events, Keyframe(frame, depth, sky, pose), decision.window, trajectory)
 
 
 def _checked(tracking: TrackingResult, frame: StereoFrame, tracker: Tracker) -> TrackingResult:

@@ -217,6 +217,8 @@ class _Run:
         done.seconds["tracking"] += row["tracking_s"]
         done.seconds["stereo"] += row["stereo_s"]
         done.note(seen.events)
+        if row["state"] == "lost" and not (done.rows and done.rows[-1]["state"] == "lost"):
+            done.note([Event("lost", row["number"])])
         mapping_before = done.seconds["mapping"]
         if seen.keyframe is not None:
             row |= _map_keyframe(self.system, done, seen)

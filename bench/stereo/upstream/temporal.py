@@ -67,6 +67,7 @@ class TemporalUpstreamNetwork(UpstreamNetwork):
 
     def start(self, dataset: Dataset) -> None:
         """Forget the frames of another sequence."""
+        super().start(dataset)
         self._seen = None
 
     def depth(self, frame: StereoFrame, position: int, camera: StereoCamera) -> DepthMap:
