@@ -70,6 +70,4 @@ class Rasterizer(ABC):
 
     def observe(self, planes: Tensor, view: PinholeView) -> Observation:
         """Which of the (P, N) parameters a view sees, and how far; ``BenchError`` where a rasterizer can't tell."""
-        raise BenchError(
-            f"The rasterizer {type(self).__name__} does not tell which Gaussians a view sees. Use the rasterizer cpu."
-        )
+        raise BenchError(f"{type(self).__name__} does not tell which Gaussians a view sees. Use mapper.rasterizer=cpu.")

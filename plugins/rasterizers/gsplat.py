@@ -32,7 +32,7 @@ class GsplatRasterizer(AutogradRasterizer):
     def unavailable_reason(cls) -> str | None:
         """None, or what is missing: a CUDA device, or the package."""
         if not torch.cuda.is_available():
-            return "torch sees no CUDA device. Use rasterizer=cpu, or a machine with a GPU and a CUDA build of torch"
+            return "torch sees no CUDA device. Use mapper.rasterizer=cpu, or a GPU and a CUDA build of torch"
         if importlib.util.find_spec("gsplat") is None:
             return "gsplat is not installed. Run: pip install 'bgs-slam-bench[cuda]'"
         return None
@@ -40,7 +40,7 @@ class GsplatRasterizer(AutogradRasterizer):
     def observe(self, planes: Tensor, view: PinholeView) -> Observation:
         raise BenchError(
             "The rasterizer gsplat can't tell which Gaussians a view sees: its kernels do not give back a Gaussian's "
-            "alpha at a pixel. Use the rasterizer cpu."
+            "alpha at a pixel. Use mapper.rasterizer=cpu."
         )
 
     def splat(self, planes: Tensor, view: PinholeView, twist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -123,7 +123,7 @@ def _colors(colors: Tensor, means: Tensor, viewmats: Tensor, sh_degree: int | No
 
 def test_gsplat_says_why_it_cannot_observe() -> None:
     planes, view = random_scene(SPECS[0])
-    with pytest.raises(BenchError, match=r"do not give back a Gaussian's alpha at a pixel. Use the rasterizer cpu"):
+    with pytest.raises(BenchError, match=r"do not give back a Gaussian's alpha at a pixel. Use mapper.rasterizer=cpu"):
         GsplatRasterizer(PluginConfig("gsplat")).observe(planes, view)
 
 
