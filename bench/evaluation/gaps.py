@@ -2,22 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import pandas as pd
 
 _KINDS = {"left_color": "renders", "right_color": "right renders", "left_depth": "depth"}
-
-
-def about_not_rendered(not_rendered: Mapping[str, Mapping[int, str]]) -> str | None:
-    """For example ``"left views of 2 frames could not be rendered (12, 14): no depth"``; None where all could."""
-    found = []
-    for view, reasons in not_rendered.items():
-        for reason in dict.fromkeys(reasons.values()):
-            numbers = [number for number, why in reasons.items() if why == reason]
-            where = ", ".join(map(str, numbers[:5])) + (" ..." if len(numbers) > 5 else "")
-            found.append(f"{view} views of {len(numbers)} frames could not be rendered ({where}): {reason}")
-    return "; ".join(found) or None
 
 
 def about_gaps(frames: pd.DataFrame) -> str | None:

@@ -12,12 +12,12 @@ from bench.contracts.saved_run import SavedRun
 from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.frame_states import count_states
-from bench.evaluation.gaps import about_gaps, about_not_rendered
+from bench.evaluation.gaps import about_gaps
 from bench.evaluation.metrics import DECLARED, brought_with
 from bench.evaluation.saved_run import ProgressReport, SavedRunFolder
 from bench.io.atomic import write_json, write_text
 from bench.plugin_config import plugin_config_from
-from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE
+from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE, map_size
 from bench.runs.provenance import describe_weights
 from bench.runs.status import read_json
 from bench.runs.system_name import foreign_name
@@ -46,8 +46,6 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
         metrics[DECLARED] = brought
     gaps = about_gaps(run.frames)
     merge(metrics, {"notes": {"output": gaps}} if gaps else {})
-    missing = about_not_rendered(run.not_rendered)
-    merge(metrics, {"notes": {"renders": missing}} if missing else {})
     _record_weights(run)
     write_text(run.path / PER_FRAME_FILE, run.per_frame().to_csv(index=False))
     write_json(run.path / METRICS_FILE, metrics)
@@ -116,6 +114,4 @@ def _learned_from_right(run: SavedRunFolder) -> bool | None:
 
 
 def _map_size(run: SavedRunFolder) -> dict[str, Any]:
-    resources = run.resources if (run.path / RESOURCES_FILE).is_file() else {}
-    size: dict[str, Any] = resources.get("size") or {"gaussians": resources.get("gaussians")}
-    return size
+    return map_size(run.resources if (run.path / RESOURCES_FILE).is_file() else {})

@@ -24,7 +24,6 @@ from bench.runs.folder import (
     FRAME_COLUMNS,
     FRAMES_FILE,
     GROUND_TRUTH_FILE,
-    NOT_RENDERED_FILE,
     RESOURCES_FILE,
     TRAJECTORY_FILE,
     View,
@@ -107,13 +106,6 @@ class SavedRunFolder(SavedRun):
     def resources(self) -> dict[str, Any]:
         """What ``resources.json`` holds."""
         return read_json(self.path / RESOURCES_FILE)
-
-    @cached_property
-    def not_rendered(self) -> dict[str, dict[int, str]]:
-        """Why the mapper rendered no view of some tracked frames: reasons by camera and frame number."""
-        path = self.path / NOT_RENDERED_FILE
-        known = read_json(path) if path.is_file() else {}
-        return {view: {int(number): str(why) for number, why in of_view.items()} for view, of_view in known.items()}
 
     @cached_property
     def lpips(self) -> LpipsMetric:
@@ -210,12 +202,8 @@ class SavedRunFolder(SavedRun):
         return pd.DataFrame(rows, columns=None if rows else ["view", "number"])
 
     def _should_have(self, column: str) -> Any:
-        """Which rows of ``frames`` have a picture of this kind: what the column says, else those of tracked frames that
-        the mapper could render."""
-        if column in self.frames:
-            return self.frames[column]
-        without = list(self.not_rendered.get(column.partition("_")[0], ()))
-        return (self.frames["state"] != "lost") & ~self.frames["number"].isin(without)
+        """Which rows of ``frames`` have a picture of this kind: those of tracked frames, or what the column says."""
+        return self.frames[column] if column in self.frames else self.frames["state"] != "lost"
 
     def _picture(self, path: Path, flags: int, dtype: type) -> Any:
         if not path.is_file():

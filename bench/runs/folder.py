@@ -40,7 +40,6 @@ METRICS_FILE = "metrics.json"
 PER_FRAME_FILE = "per_frame.csv"
 LOG_FILE = "log.txt"
 PLOT_FILE = "trajectory.png"
-NOT_RENDERED_FILE = "not_rendered.json"
 
 FRAME_COLUMNS = ["number", "timestamp", "state", "mapped", "heldout"]
 """What each row of ``frames.csv`` has at least."""
@@ -60,13 +59,20 @@ OTHER_FILES = (
     PER_FRAME_FILE,
     LOG_FILE,
     PLOT_FILE,
-    NOT_RENDERED_FILE,
 )
 """What a run writes but its map and the views."""
 _PICTURE = re.compile(r"\d{6,}\.png")
 # Depth PNGs hold metres * 256 as uint16, like KITTI's own depth maps; 0 = no depth.
 DEPTH_SCALE = 256.0
 _TELL_S = 1.0
+
+
+def map_size(resources: Mapping[str, Any]) -> dict[str, Any]:
+    """Size of the map in named numbers, from what ``resources.json`` holds: its ``size`` says which numbers those are.
+
+    Runs that say nothing of it are of Gaussian maps.
+    """
+    return {name: resources.get(name) for name in resources.get("size", ("gaussians",))}
 
 
 def picture_path(folder: Path, view: View, what: Literal["color", "depth"], number: int) -> Path:
@@ -185,12 +191,6 @@ class RunFolder:
         depth_written = self._second_writer.submit(lambda: write_image(depth_path, depth_to_16bit(depth)))
         write_image(color_path, color_to_8bit(view_data.color))
         depth_written.result()
-
-    def write_not_rendered(self, reasons: Mapping[View, Mapping[int, str]]) -> None:
-        """Save why there is no render of some frames: reasons by view and frame number. Nothing is saved of none."""
-        known = {view: {str(number): why for number, why in of_view.items()} for view, of_view in reasons.items()}
-        if any(known.values()):
-            self.write_json(NOT_RENDERED_FILE, known)
 
     def write_trajectory(self, trajectory: Trajectory, ground_truth: Trajectory | None) -> None:
         """Save the estimated poses (CSV with frame numbers, KITTI, TUM) and the ground truth (CSV, KITTI)."""

@@ -52,7 +52,7 @@ def scored(tmp_path: Path) -> Path:
         run = RunFolder.create(tmp_path / "runs" / name, config, "h", rerun=False)
         row = {"timestamp": 0.0, "state": "ok", "mapped": False, "heldout": False}
         run.write_frames([{"number": number} | row for number in range(frames)])
-        run.write_json("resources.json", {"size": {"points": 1200 * frames}})
+        run.write_json("resources.json", {"size": ["points"], "points": 1200 * frames})
         run.set_status("done", "", frames, frames)
         bgs_bench("evaluate", run.path)
     (folder / "odometer.py").unlink()

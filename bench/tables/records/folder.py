@@ -12,7 +12,7 @@ from bench.evaluation.frame_states import count_states
 from bench.io.csv_files import read_csv
 from bench.runs.config_file import CONFIG_FILE, read_shared_config
 from bench.runs.events import read_events
-from bench.runs.folder import FRAME_COLUMNS, FRAMES_FILE, METRICS_FILE, PROVENANCE_FILE, RESOURCES_FILE
+from bench.runs.folder import FRAME_COLUMNS, FRAMES_FILE, METRICS_FILE, PROVENANCE_FILE, RESOURCES_FILE, map_size
 from bench.runs.status import read_json, read_status
 from bench.tables.records.portable import portable, portable_config, portable_text
 from bench.tables.records.record import RunRecord
@@ -28,7 +28,7 @@ def read_run(folder: Path) -> RunRecord:
     frames: dict[str, Any] = _tried(lambda: _count_frames(run), {}, damage)
     measured = {
         "resources": resources,
-        "map": resources.get("size") or resources,
+        "map": map_size(resources),
         "frames": frames,
     }
     return replace(run, measured=measured, damage=tuple(damage))
