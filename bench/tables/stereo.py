@@ -11,8 +11,9 @@ from typing import Any
 from bench.evaluation.disparity import DisparityScore
 from bench.evaluation.stereo_backbone import BackboneScore
 from bench.evaluation.stereo_process import Broken
-from bench.runs.config_file import read_config
-from bench.tables.collect import Column, Row, collect_row
+from bench.tables.collect import Column, Row, row_of
+from bench.tables.records.folder import read_run
+from bench.tables.records.record import RunRecord
 
 # Of a run's row, what is shown beside the score of its backbone.
 _SLAM_COLUMNS = (
@@ -63,10 +64,11 @@ def stereo_rows(scored: Sequence[Scored], runs: Sequence[Path] = ()) -> list[Row
     A run belongs to the rows with exactly its stereo settings, else to those with the same plugin, if all of these have
     the same settings.
     """
-    found: dict[int, list[Path]] = {}
-    others: dict[str, list[Path]] = {}
-    for run in runs:
-        used = _stereo_of(run)
+    found: dict[int, list[RunRecord]] = {}
+    others: dict[str, list[RunRecord]] = {}
+    for run in map(read_run, runs):
+        stereo = run.config.get("stereo")
+        used = stereo if isinstance(stereo, dict) else {}
         places = _places_of(used, scored)
         for place in places:
             found.setdefault(place, []).append(run)
@@ -122,12 +124,6 @@ def _row(one: Scored) -> Row:
     return Row(values, stamp)
 
 
-def _stereo_of(run: Path) -> dict[str, Any]:
-    known = read_config(run)
-    used = known[0].get("stereo") if known is not None else None
-    return used if isinstance(used, dict) else {}
-
-
 def _places_of(used: dict[str, Any], scored: Sequence[Scored]) -> list[int]:
     exact = [place for place, one in enumerate(scored) if one.stereo == used]
     if exact:
@@ -136,11 +132,11 @@ def _places_of(used: dict[str, Any], scored: Sequence[Scored]) -> list[int]:
     return alike if all(scored[place].stereo == scored[alike[0]].stereo for place in alike) else []
 
 
-def _with_slam(row: Row, runs: Sequence[Path]) -> Row:
+def _with_slam(row: Row, runs: Sequence[RunRecord]) -> Row:
     """The row with the means over the runs of what they measured, and a note that names them and their data sets."""
     if not runs:
         return row
-    collected = [collect_row(run) for run in runs]
+    collected = [row_of(run) for run in runs]
     values: dict[str, float] = {}
     for column in _SLAM_COLUMNS:
         known = [value for one in collected if isinstance(value := one.values.get(column.key), (int, float))]

@@ -10,7 +10,6 @@ from typing import Any
 
 from bench.contracts.metric import Metric
 from bench.evaluation.metrics import declared_metrics
-from bench.runs.system_name import system_name
 from bench.tables.collect import Row
 from bench.tables.document.model import UNKNOWN, Cell, Column, Data
 from bench.tables.named.fill import Statistic, choose_runs, statistic
@@ -100,9 +99,7 @@ def scored_groups(records: Sequence[RunRecord]) -> list[ScoredGroup]:
 
 def _plain_name(run: RunRecord) -> str:
     """System, data set and sequence."""
-    dataset = run.config.get("dataset")
-    parts = [dataset.get("name"), dataset.get("sequence")] if isinstance(dataset, Mapping) else [dataset]
-    return " ".join(str(part) for part in (system_name(run.config), *parts) if part not in (None, ""))
+    return " ".join(part for part in (run.system, *(run.dataset or "").split("/", 1)) if part)
 
 
 def _told_apart(settings: Mapping[str, str], alike: Sequence[Mapping[str, str]]) -> str:

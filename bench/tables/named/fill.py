@@ -7,7 +7,6 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -182,7 +181,7 @@ def _compared_settings(table: NamedTable, record: RunRecord) -> Settings:
 
 def is_of(record: RunRecord, table: NamedTable) -> bool:
     """Whether the run is on the table's data set, in one of its cells or not."""
-    return bool(_name_of(record.config.get("dataset")) == table.dataset)
+    return record.plugin("dataset") == table.dataset
 
 
 def _ranks(found: Mapping[Place, list[_Found]], varied: set[str]) -> dict[str, int]:
@@ -284,7 +283,3 @@ def _is_foreign(cell: FilledCell) -> bool:
 
 def _data_and_protocol(settings: Settings) -> Settings:
     return {key: value for key, value in settings.items() if key.partition(".")[0] in ("dataset", "protocol")}
-
-
-def _name_of(part: Any) -> Any:
-    return part.get("name") if isinstance(part, Mapping) else part
