@@ -19,7 +19,7 @@ from bench.runs.config_file import CONFIG_FILE
 from bench.runs.folder import LOG_FILE
 from bench.runs.lock import only_one
 from bench.runs.status import read_status
-from bench.slam.system import run_system
+from bench.slam.run import run_system
 from bench.sweeps.combinations import plan_combinations, require_writable
 from bench.sweeps.experiment import EXPERIMENT
 from bench.sweeps.launchers.choice import count_of_jobs, split_launcher

@@ -77,7 +77,7 @@ class Mapper(ABC):
         """The map as seen from a view, as numpy arrays; raises ``CannotRenderError`` for a view that it can't show.
 
         ``depth`` (H, W) float32 metres, NaN where unknown, is given to one that ``needs_depth``: the stereo depth of
-        the view's own pair; None for a view that is no left image.
+        the view's own pair. Right views have none: one that needs depth is not asked for them.
         """
 
     def view(self) -> MapView | None:

@@ -20,4 +20,8 @@ def about_gaps(frames: pd.DataFrame) -> str | None:
             found.append("no depth")
         elif 0 < there < len(frames):
             found.append(f"{what} of {there} of {len(frames)} frames")
+        elif column == "right_color" and "absent" in frames and not there:
+            found.append("no right renders")
+    if "absent" in frames:
+        found += [str(reason) for reason in frames["absent"].dropna().unique()]
     return "; ".join(found) or None

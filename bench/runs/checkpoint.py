@@ -2,6 +2,7 @@
 
 Only the map and what was measured are kept. Tracking, stereo and sky are repeated up to the frame of the checkpoint,
 which takes a small part of mapping's time, works for every plugin that gives the same answer twice, and needs no disk.
+Where a tracker or keyframer looks at the map, their states are kept too.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from bench.io.atomic import TEMPORARY_PATTERN, atomic_path
 
 CHECKPOINT_FOLDER = "checkpoint"
 _FILE = "state.pt"
+_AS_THEY_ARE = ("mapper", "random", "seeing", "keyframe_poses")
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +36,8 @@ class Snapshot:
 
     ``rows`` are those of ``frames.csv``; ``mapper`` is what ``Mapper.state`` gave; ``seconds`` by stage, ``elapsed_s``
     of wall time; ``psnr_db`` of the newest keyframe; ``random`` is the state of torch's generator;
-    ``events`` so far, as plain data.
+    ``events`` so far, as plain data. Of a run whose tracker or keyframer looks at the map also: ``seeing``, the states
+    of the two by kind, and ``keyframe_poses``, by number the (4, 4) that each mapped keyframe came with.
     """
 
     rows: list[dict[str, Any]]
@@ -46,6 +49,8 @@ class Snapshot:
     random: torch.Tensor
     resumed_after: list[int] = field(default_factory=list)
     events: list[dict[str, Any]] = field(default_factory=list)
+    seeing: dict[str, Any] = field(default_factory=dict)
+    keyframe_poses: dict[int, torch.Tensor] = field(default_factory=dict)
 
 
 class Checkpoints:
@@ -88,7 +93,7 @@ class Checkpoints:
             content = torch.load(path, map_location="cpu", weights_only=True)
             fits = content["fingerprint"] == self._fingerprint
             told = json.loads(content["told"])
-            snapshot = Snapshot(mapper=content["mapper"], random=content["random"], **told)
+            snapshot = Snapshot(**{name: content[name] for name in _AS_THEY_ARE}, **told)
         except (OSError, EOFError, RuntimeError, KeyError, TypeError, ValueError, pickle.UnpicklingError) as error:
             log.warning("the checkpoint in %s is damaged (%s); the run begins anew", self._folder, error)
             self.remove()
@@ -108,12 +113,11 @@ class Checkpoints:
         for leftover in self._folder.glob(TEMPORARY_PATTERN):
             leftover.unlink()
         # As JSON, whose floats come back to the bit: numbers of numpy's own types would not pass weights_only.
-        told = {f.name: getattr(snapshot, f.name) for f in fields(snapshot) if f.name not in ("mapper", "random")}
+        told = {f.name: getattr(snapshot, f.name) for f in fields(snapshot) if f.name not in _AS_THEY_ARE}
         content = {
             "fingerprint": self._fingerprint,
             "told": json.dumps(told, default=lambda number: number.item()),
-            "mapper": snapshot.mapper,
-            "random": snapshot.random,
+            **{name: getattr(snapshot, name) for name in _AS_THEY_ARE},
         }
         with atomic_path(self._folder / _FILE) as temporary:
             torch.save(content, temporary)

@@ -1,6 +1,6 @@
 """The part of the system before the mapper: tracking, keyframes, stereo and sky of every frame, in order.
 
-It never looks at the map, so it may run ahead of it in a thread of its own.
+Unless a part of it looks at the map, it may run ahead of mapping in a thread of its own.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Generator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +17,8 @@ from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
 from bench.runs.events import check_events
 from bench.slam.prefetch import prefetch
-from bench.types import Event, Keyframe, StereoFrame, TrackingResult, Trajectory
-
-if TYPE_CHECKING:
-    from bench.slam.system import System
+from bench.slam.system import System
+from bench.types import Event, Float, Keyframe, StereoFrame, TrackingResult, Trajectory
 
 
 @dataclass(frozen=True)
@@ -34,10 +32,9 @@ class Seen:
     trajectory: Trajectory | None = None
 
 
-def front_end(system: System) -> Generator[Seen, None, None]:
-    """Tracking, keyframing, stereo and sky of every frame, in order."""
-    camera = system.dataset.camera
-    for position, frame in prefetch(system.dataset):
+def front_end(system: System, first: int = 0) -> Generator[Seen, None, None]:
+    """Tracking, keyframing, stereo and sky of every frame from position ``first`` on, in order."""
+    for position, frame in prefetch(system.dataset, first):
         start = time.perf_counter()
         tracking = _checked(system.tracker.track(frame), frame, system.tracker)
         cost = cost_of(system.tracker, time.perf_counter() - start)
@@ -64,18 +61,24 @@ def front_end(system: System) -> Generator[Seen, None, None]:
         if not (decision.is_keyframe and system.mapper.wants_keyframes):
             yield Seen(row, tracking.events)
             continue
-        start = time.perf_counter()
-        depth = system.stereo.depth(frame, position, camera)
-        depth_cost = cost_of(system.stereo, time.perf_counter() - start)
-        start = time.perf_counter()
-        sky = system.sky.segment(frame.left, depth, camera)
-        sky_cost = cost_of(system.sky, time.perf_counter() - start)
-        row["stereo_s"] = depth_cost.seconds + sky_cost.seconds
-        row["stereo_cached"] = depth_cost.cached or sky_cost.cached
         trajectory = system.tracker.trajectory()
         pose = trajectory.pose_of(frame.number)
         assert pose is not None
-        yield Seen(row, tracking.events, Keyframe(frame, depth, sky, pose), decision.window, trajectory)
+        keyframe, row["stereo_s"], row["stereo_cached"] = keyframe_of(system, position, frame, pose)
+        yield Seen(row, tracking.events, keyframe, decision.window, trajectory)
+
+
+def keyframe_of(system: System, position: int, frame: StereoFrame, T_world_cam: Float) -> tuple[Keyframe, float, bool]:
+    """The frame with its depth and sky; the seconds that these took, and whether the cache had one of them."""
+    camera = system.dataset.camera
+    start = time.perf_counter()
+    depth = system.stereo.depth(frame, position, camera)
+    depth_cost = cost_of(system.stereo, time.perf_counter() - start)
+    start = time.perf_counter()
+    sky = system.sky.segment(frame.left, depth, camera)
+    sky_cost = cost_of(system.sky, time.perf_counter() - start)
+    cost = depth_cost.seconds + sky_cost.seconds
+    return Keyframe(frame, depth, sky, T_world_cam), cost, depth_cost.cached or sky_cost.cached
 
 
 def _checked(tracking: TrackingResult, frame: StereoFrame, tracker: Tracker) -> TrackingResult:

@@ -18,9 +18,9 @@ _END = object()
 T = TypeVar("T")
 
 
-def prefetch(dataset: Dataset, ahead: int = 2) -> Iterator[tuple[int, StereoFrame]]:
-    """Yield ``(position, frame)`` in order, with up to ``ahead`` frames decoded in a background thread."""
-    return in_background(((i, dataset.frame(i)) for i in range(len(dataset))), ahead, "bgs-prefetch")
+def prefetch(dataset: Dataset, first: int = 0, ahead: int = 2) -> Iterator[tuple[int, StereoFrame]]:
+    """Yield ``(position, frame)`` from ``first`` on, with up to ``ahead`` frames decoded in a background thread."""
+    return in_background(((i, dataset.frame(i)) for i in range(first, len(dataset))), ahead, "bgs-prefetch")
 
 
 def in_background(items: Iterable[T], ahead: int, thread_name: str) -> Generator[T, None, None]:

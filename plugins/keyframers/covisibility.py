@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import torch
 
 from bench.contracts.keyframer import Keyframer
 from bench.errors import BenchError, require_least
@@ -82,6 +84,21 @@ class Covisibility(Keyframer):
         self._admit(frame.number, seen)
         return KeyframeDecision(True, reason, self._numbers())
 
+    def state(self) -> dict[str, Any]:
+        """The window and the last motion; ids and descriptors as int64."""
+        return {
+            "window": [(number, torch.from_numpy(seen.view(np.int64).copy())) for number, seen in self._window],
+            "last_pose": None if self._last_pose is None else torch.from_numpy(self._last_pose.copy()),
+            "last_number": self._last_number,
+            "last_motion": self._last_motion,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``."""
+        self._window = [(number, _as_seen(seen.numpy())) for number, seen in state["window"]]
+        self._last_pose = None if state["last_pose"] is None else state["last_pose"].numpy()
+        self._last_number, self._last_motion = state["last_number"], state["last_motion"]
+
     def _sighting(self, frame: StereoFrame, tracking: TrackingResult) -> Sighting:
         if tracking.landmarks is not None:
             return np.unique(tracking.landmarks)
@@ -116,6 +133,11 @@ class Covisibility(Keyframer):
 
     def _numbers(self) -> tuple[int, ...]:
         return tuple(number for number, _ in self._window)
+
+
+def _as_seen(values: Ints) -> Sighting:
+    """What ``state`` kept: ids are one number each, descriptors four."""
+    return values if values.ndim == 1 else values.view(np.uint64)
 
 
 def covisibility(a: Sighting, b: Sighting) -> float:

@@ -20,7 +20,7 @@ from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.registry import build
-from bench.slam.system import run_system
+from bench.slam.run import run_system
 from plugins.datasets.street import Street, StreetConfig
 from plugins.stereo.sgbm import SgbmConfig
 

@@ -17,7 +17,7 @@ from bench.cache.identity import frame_identity
 from bench.cache.recording import Recording
 from bench.config import compose_run
 from bench.evaluation.run_evaluators import evaluate_run
-from bench.slam.system import run_system
+from bench.slam.run import run_system
 from bench.types import Event, StereoFrame, TrackingResult, Trajectory
 from plugins.datasets.street import Street
 from plugins.trackers.stereo_orb import StereoOrb
@@ -113,7 +113,7 @@ def test_a_damaged_recording_is_made_again(tmp_path: Path, tracked: list[int]) -
 
 
 def test_a_run_that_stops_early_leaves_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.slam.system._Run._take", lambda *nothing: 1 / 0)
+    monkeypatch.setattr("bench.slam.run._Run._take", lambda *nothing: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run(tmp_path, "one", "pipeline=sequential")
     assert not list((tmp_path / "cache").rglob("tracker/*/*/*.entry"))

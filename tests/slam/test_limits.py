@@ -18,7 +18,7 @@ import pytest
 from bench.config import compose_run
 from bench.runs.memory_limit import MemoryLimit, MemoryLimitError
 from bench.runs.status import RunStatus, read_status, write_status
-from bench.slam.system import run_system
+from bench.slam.run import run_system
 from plugins.mappers.gaussian import GaussianMapper
 
 TINY = ("dataset.frames=4", "dataset.width=320", "dataset.height=96", "mapper.iterations=2", "protocol.lpips=false")

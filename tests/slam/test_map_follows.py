@@ -12,7 +12,7 @@ import pytest
 from bench.config import compose_run
 from bench.geometry import se3
 from bench.registry import PluginConfig, register
-from bench.slam.system import run_system
+from bench.slam.run import run_system
 from bench.types import Float, StereoFrame, TrackingResult, Trajectory
 from plugins.datasets.street import Street, StreetConfig
 from plugins.trackers.groundtruth import GroundTruth

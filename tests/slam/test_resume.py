@@ -18,7 +18,7 @@ from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.checkpoint import CHECKPOINT_FOLDER, Checkpoints
 from bench.runs.events import read_events
 from bench.runs.folder import RunFolder
-from bench.slam.system import run_system
+from bench.slam.run import run_system
 from plugins.mappers.gaussian import GaussianMapper
 from plugins.trackers.groundtruth import GroundTruth
 
@@ -59,7 +59,7 @@ def killed_run(output: Path, monkeypatch: pytest.MonkeyPatch, after: int, *overr
 
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoints, "_write", count)
-        patch.setattr("bench.slam.system.save_outputs", lambda *nothing: None)
+        patch.setattr("bench.slam.run.save_outputs", lambda *nothing: None)
         with pytest.raises(Killed):
             run(output, *overrides)
     assert (output / CHECKPOINT_FOLDER).is_dir()
@@ -103,7 +103,7 @@ def test_a_resumed_run_has_the_bits_of_an_unbroken_one(
     assert quality(folder) == quality(unbroken)
     assert not (folder / CHECKPOINT_FOLDER).exists()
     assert json.loads((folder / "provenance.json").read_text())["resumed_after_frames"] == [frames_then]
-    assert "going on from the checkpoint" in (folder / "log.txt").read_text()
+    assert "resumed from the checkpoint" in (folder / "log.txt").read_text()
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from bench.config import compose_run
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.registry import lookup, register
-from bench.slam.system import run_system
+from bench.slam.run import run_system
 from bench.types import Map, StereoFrame
 from plugins.datasets.street import Street, StreetConfig
 

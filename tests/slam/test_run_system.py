@@ -18,7 +18,7 @@ from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.events import read_events
 from bench.runs.folder import RunFolder
-from bench.slam.system import run_system
+from bench.slam.run import run_system
 from bench.types import Event, Keyframe, MappingReport
 
 TINY = ("dataset.frames=5", "dataset.width=160", "dataset.height=64", "mapper.iterations=2", "protocol.lpips=false")

@@ -1,0 +1,232 @@
+"""The SLAM loop: the one place where the stages meet.
+
+Data flows one way: data set -> tracker -> keyframer -> stereo -> sky -> mapper -> run folder. Scoring comes afterwards
+and reads the run folder only. The part before the mapper (the front end) may run ahead in a thread of its own
+(``pipeline=parallel``) without changing a single bit of the result, unless a tracker or keyframer looks at the map.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+
+from bench.config import RunConfig
+from bench.runs.checkpoint import Checkpoints, Snapshot
+from bench.runs.events import check_events
+from bench.runs.folder import PROVENANCE_FILE, RunFolder
+from bench.runs.memory import PeakMemory
+from bench.runs.memory_limit import MemoryLimit
+from bench.runs.provenance import collect_provenance
+from bench.slam.checkpointing import ReplayDiffersError, resume, snapshot_of
+from bench.slam.endings import how_it_ended, terminate_as_interrupt
+from bench.slam.front_end import Seen, front_end
+from bench.slam.outputs import save_outputs, save_views
+from bench.slam.prefetch import in_background
+from bench.slam.progress import Progress
+from bench.slam.system import System, fingerprint_of
+from bench.types import Event
+
+log = logging.getLogger(__name__)
+
+# How far the front end may be ahead of the mapper in pipeline=parallel.
+FRAMES_AHEAD = 3
+
+_END: Any = object()
+
+# Called as each frame is done: frames done, frames in all, PSNR of the newest keyframe in dB (NaN before the first).
+Tell = Callable[[int, int, float], None]
+
+
+def run_system(config: RunConfig, progress: Tell | None = None) -> RunFolder:
+    """Run the configured system and save the run; returns its folder.
+
+    A run that was stopped or killed is resumed from its last checkpoint (``resume``), if nothing that its result
+    depends on has changed since. Raises ``BenchError`` before anything is written for bad input that can be known
+    beforehand. What goes wrong later is recorded in ``status.json`` (failed, out_of_memory, interrupted), what was done
+    is saved, and the error goes on.
+    """
+    values = config.values
+    system = System.build(config)
+    resuming = values["resume"] and not values["rerun"]
+    folder = RunFolder.create(
+        config.output, values, config.hash, values["rerun"], keep_log=resuming, map_file=system.mapper.map_file
+    )
+    if folder.already_done:
+        system.tracker.finish()
+        return folder
+    checkpoints = Checkpoints(folder.path, fingerprint_of(config, system), values["checkpoint_s"])
+    if not resuming:
+        checkpoints.remove()
+    run = _Run(config, system, folder, checkpoints, MemoryLimit(config.limits.memory_gb), progress)
+    with folder.attach_log(), terminate_as_interrupt():
+        folder.set_status("running", frames_total=run.total, stage="mapping")
+        try:
+            with run.limit.watching():
+                run.make()
+        except BaseException as error:
+            state, reason = how_it_ended(error)
+            log.exception("The run ended early: %s", reason)
+            try:
+                run.finish_tracking()
+                save_outputs(run.system, folder, run.done, run.memory)
+            except Exception:
+                # What ended the run is what the user must hear of; that it broke the saving too is in the log.
+                log.exception("What was done could not all be saved")
+            finally:
+                folder.set_status(state, reason, len(run.done.rows), run.total, run.done.lost_stretches())
+            raise
+        folder.set_status(
+            "done", frames_done=len(run.done.rows), frames_total=run.total, lost=run.done.lost_stretches()
+        )
+    checkpoints.remove()
+    return folder
+
+
+@dataclass
+class _Run:
+    """A run under way: its parts, its folder, and what it has done so far."""
+
+    config: RunConfig
+    system: System
+    folder: RunFolder
+    checkpoints: Checkpoints
+    limit: MemoryLimit
+    progress: Tell | None
+    done: Progress = field(default_factory=Progress)
+    memory: PeakMemory = field(default_factory=PeakMemory)
+    _tracking: bool = True
+
+    @property
+    def total(self) -> int:
+        return len(self.system.dataset)
+
+    def make(self) -> None:
+        """Map all frames, from the checkpoint on if there is one, and save everything."""
+        snapshot = self.checkpoints.load()
+        try:
+            self._map_frames(snapshot)
+        except ReplayDiffersError as error:
+            log.warning("%s; the run begins anew. Is a plugin not deterministic?", error)
+            self.checkpoints.remove()
+            self.finish_tracking()
+            self.system, self.done, self._tracking = System.build(self.config), Progress(), True
+            self._map_frames(None)
+        self.finish_tracking()
+        self._optimise_at_the_end()
+        self.done.wall_s = self.done.elapsed_s()
+        self._tell("rendering", now=True)
+        save_views(self.system, self.folder, self.done)
+        save_outputs(self.system, self.folder, self.done, self.memory)
+
+    def finish_tracking(self) -> None:
+        """Tell the tracker, once, that no frame follows."""
+        if self._tracking:
+            self._tracking = False
+            self.system.tracker.finish()
+
+    def _map_frames(self, snapshot: Snapshot | None) -> None:
+        values = self.config.values
+        torch.manual_seed(values["seed"])
+        provenance = collect_provenance(values, values["seed"], self.system.weights())
+        first = len(snapshot.rows) if snapshot is not None and self.system.in_step else 0
+        frames = front_end(self.system, first)
+        if self.system.in_step:
+            log.info("pipeline: in step, one frame at a time, since tracker or keyframer look at the map")
+        ahead = values["pipeline"] == "parallel" and not self.system.in_step
+        # Closed at once when mapping fails: the front end must not go on while what was done is being saved.
+        with closing(in_background(frames, FRAMES_AHEAD, "bgs-front-end") if ahead else frames) as stream:
+            if snapshot is not None:
+                log.info("resumed from the checkpoint after frame %d of %d", len(snapshot.rows), self.total)
+                resume(self.system, snapshot, stream, self._repeated)
+                self.done.resume_from(snapshot)
+            resumed = {"resumed_after_frames": self.done.resumed_after()}
+            self.folder.write_json(PROVENANCE_FILE, provenance | (resumed if snapshot is not None else {}))
+            for seen in stream:
+                self._take(seen)
+                self._after_a_step("mapping")
+                if self.progress is not None:
+                    self.progress(len(self.done.rows), self.total, self.done.psnr_db)
+
+    def _take(self, seen: Seen) -> None:
+        """Map a frame, if it is a keyframe, and note what became of it."""
+        row, done = seen.row, self.done
+        done.seconds["tracking"] += row["tracking_s"]
+        done.seconds["stereo"] += row["stereo_s"]
+        done.note(seen.events)
+        if row["state"] == "lost" and not (done.rows and done.rows[-1]["state"] == "lost"):
+            done.note([Event("lost", row["number"])])
+        mapping_before = done.seconds["mapping"]
+        if seen.keyframe is not None:
+            if self.system.in_step:
+                done.keyframe_poses[row["number"]] = seen.keyframe.T_world_cam.copy()
+            row |= _map_keyframe(self.system, done, seen)
+        row["mapping_s"] = done.seconds["mapping"] - mapping_before
+        done.rows.append(row)
+
+    def _optimise_at_the_end(self) -> None:
+        with self.done.timed("mapping"):
+            self.system.mapper.update_poses(self.system.tracker.trajectory())
+        steps = self.system.mapper.final_steps()
+        while True:
+            with self.done.timed("mapping"):
+                events = next(steps, _END)
+            if events is _END:
+                return
+            _note_of_mapper(self.system, self.done, events or ())
+            self._after_a_step("last optimisation")
+
+    def _repeated(self, frames: int) -> None:
+        """What is due when another frame before the break is done again."""
+        self.limit.check()
+        if self.progress is not None:
+            self.progress(frames, self.total, float("nan"))
+
+    def _after_a_step(self, stage: str) -> None:
+        """What is due between two steps of mapping."""
+        self.limit.check()
+        self._tell(stage)
+        self.checkpoints.if_due(lambda: snapshot_of(self.system, self.done, self.memory))
+
+    def _tell(self, stage: str, now: bool = False) -> None:
+        if now:
+            self.folder.set_status("running", "", len(self.done.rows), self.total, stage=stage)
+        else:
+            self.folder.tell_progress(len(self.done.rows), self.total, stage)
+
+
+def _note_of_mapper(system: System, done: Progress, events: Sequence[Event]) -> None:
+    check_events(events, type(system.mapper).__name__)
+    done.note(events)
+
+
+def _map_keyframe(system: System, done: Progress, seen: Seen) -> dict[str, Any]:
+    """Let the mapper learn from a keyframe; returns its cells of ``frames.csv``."""
+    assert seen.keyframe is not None
+    assert seen.trajectory is not None
+    with done.timed("mapping"):
+        system.mapper.update_poses(seen.trajectory)
+        report = system.mapper.add_keyframe(seen.keyframe, seen.window)
+    done.psnr_db = report.psnr_db
+    _note_of_mapper(system, done, report.events)
+    size = system.mapper.size()
+    log.info(
+        "frame %d: keyframe (%s), %s",
+        *(seen.keyframe.frame.number, seen.row["keyframe_reason"]),
+        ", ".join(
+            [
+                *(f"{count} {what}" for what, count in size.items()),
+                f"{report.psnr_db:.2f} dB",
+                *(f"{name} {value:.4f}" for name, value in report.losses.items()),
+            ]
+        ),
+    )
+    return {
+        "mapped": True,
+        "psnr_while_mapping": report.psnr_db,
+        **size,
+    }
