@@ -22,21 +22,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Read when a command first imports torch: its OpenMP threads would otherwise spin after each operation and take the
     # cores from the C++ core's threads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    parser = argparse.ArgumentParser(
-        prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors."
-    )
-    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    # All of them import torch and more, which takes seconds; the one that is meant may need little of that.
-    for command in given[:1] if given and given[0] in _COMMANDS else _COMMANDS:
-        importlib.import_module(f"bench.commands.{command.replace('-', '_')}").add_parser(subparsers)
-    args, left = parser.parse_known_args(given)
-    # argparse takes `run a=1 -m b=2` for two lists of overrides and knows a place for the first only.
-    if left and (not hasattr(args, "overrides") or any(argument.startswith("-") for argument in left)):
-        parser.error(f"unrecognized arguments: {' '.join(left)}")
-    if left:
-        args.overrides += left
     try:
+        args = _parsed(list(sys.argv[1:] if arguments is None else arguments))
         code: int = args.run(args)
         return code
     except BenchError as error:
@@ -47,6 +34,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 141
+
+
+def _parsed(given: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors."
+    )
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    # All of them import torch and more, which takes seconds; the one that is meant may need little of that.
+    for command in given[:1] if given and given[0] in _COMMANDS else _COMMANDS:
+        importlib.import_module(f"bench.commands.{command.replace('-', '_')}").add_parser(subparsers)
+    args, left = parser.parse_known_args(given)
+    # argparse takes `run a=1 -m b=2` for two lists of overrides (places of runs, for tables) and fills the first only.
+    whole = getattr(args, "overrides", getattr(args, "places", None))
+    if left and (whole is None or any(argument.startswith("-") for argument in left)):
+        parser.error(f"unrecognized arguments: {' '.join(left)}")
+    if whole is not None:
+        whole += left
+    return args
 
 
 if __name__ == "__main__":

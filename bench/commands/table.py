@@ -36,14 +36,15 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "table",
         help="one row per run, or one of the paper's tables: to the terminal, and to .md, .csv, .tex, .html",
-        description=_ABOUT.replace("NAMES", ", ".join(table_names())),
+        description=_ABOUT,
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        add_help=False,
     )
+    parser.add_argument("-h", "--help", action=_Help, nargs=0, help="show this help and exit; --plugins goes before it")
     parser.add_argument(
-        "runs",
+        "places",
         nargs="*",
-        type=Path,
         metavar="[NAME] RUN_FOLDER",
         help=f"name of a table, then run folders, folders of them or record files; default: all under {RUNS_FOLDER}",
     )
@@ -68,20 +69,31 @@ def add_parser(subparsers: Any) -> None:
     parser.set_defaults(run=run)
 
 
+class _Help(argparse.Action):
+    """Help that lists the tables in the user's folders too."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, *_: Any) -> None:
+        """Print it and exit."""
+        parser.description = _ABOUT.replace("NAMES", ", ".join(table_names(namespace.plugins)))
+        parser.print_help()
+        parser.exit()
+
+
 def run(args: argparse.Namespace) -> int:
     """Print the table and write it to each ``--out``; raises ``BenchError`` for a wrong name, folder or extension."""
-    name = str(args.runs[0]) if args.runs else ""
+    paths = [Path(place) for place in args.places]
+    name = args.places[0] if paths else ""
     names = table_names(args.plugins)
     if name in names:
-        return _named(name, args.runs[1:], args)
-    if name and "/" not in name and not args.runs[0].exists():
+        return _named(name, paths[1:], args)
+    if name and "/" not in name and not paths[0].exists():
         raise BenchError(
             f"There is no folder and no table {name}; the tables are {', '.join(names)}, and those in --plugins FOLDER."
             f"{did_you_mean(name, names)}"
         )
     forms = {path: "" if is_record_file(path) else form_of(path, f" or {SUFFIX}") for path in args.out}
-    files = [path for path in args.runs if is_record_file(path)]
-    given = [path for path in args.runs if path not in files]
+    files = [path for path in paths if is_record_file(path)]
+    given = [path for path in paths if path not in files]
     folders = find_runs(given) if given or not files else []
     rows = [row_of(run) for file in files for run in read_record_file(file).runs]
     rows += [collect_row(folder) for folder in folders]
@@ -92,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     console = Console()
     print_table(rows, console)
     for path, form in forms.items():
-        text = text_of(document, form, path.parent) if form else record_text(read_runs(args.runs))
+        text = text_of(document, form, path.parent) if form else record_text(read_runs(paths))
         _write(path, text, console)
     return 0
 

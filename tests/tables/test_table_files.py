@@ -117,12 +117,15 @@ def test_columns_stay_whole_whatever_the_names(mine: Path) -> None:
 
 def test_the_commands_know_it(mine: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make_run(tmp_path / "runs" / "a", 2, 19.5)
-    assert main(["table", "invented", "runs", "--plugins", str(mine), "--out", "out"]) == 0
+    assert main(["table", "invented", "--plugins", str(mine), "runs", "--out", "out"]) == 0
     assert "19.5 (1)" in capsys.readouterr().out
     assert sorted(file.suffix for file in (tmp_path / "out").iterdir()) == [".csv", ".html", ".json", ".md", ".tex"]
     again = ["table", "invented", "out/invented.runs.json", "--plugins", str(mine), "--format", "csv"]
     assert main(again) == 0
     assert "19.5" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["table", "--plugins", str(mine), "--help"])
+    assert "runtime, invented, dialects; without a name" in capsys.readouterr().out
     assert main(["table", "inventd", "--plugins", str(mine)]) == 2
     assert "Did you mean 'invented'?" in capsys.readouterr().err
     assert main(["reproduce", "invented", f"plugins=[{mine}]", "dataset.frames=4", "--dry-run"]) == 0
