@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from bench.errors import BenchError
 
 _COMMANDS = (
-    *("run", "list", "table", "reproduce", "evaluate", "score", "stereo-eval", "vocabulary", "weights", "cache"),
-    *("new-plugin", "check-plugin", "doctor"),
+    *("run", "list", "table", "reproduce", "evaluate", "score", "map", "stereo-eval", "vocabulary", "weights"),
+    *("cache", "new-plugin", "check-plugin", "doctor"),
 )
 """Each is a module in ``bench.commands``, in the order of ``--help``."""
 

@@ -12,11 +12,13 @@ import torch
 from torch import Tensor
 
 from bench.gaussians.ply import read_ply, write_ply
-from bench.gaussians.schema import MEAN, QUATERNION, degree_of, planes_of
+from bench.gaussians.schema import HARMONICS, MEAN, QUATERNION, degree_of, planes_of
+from bench.gaussians.spherical_harmonics import band_rotation
 from bench.geometry import se3
 from bench.types import Float, Trajectory
 
 _COLUMNS = ("planes", "first_moment", "second_moment", "birth_depth", "anchor")
+_CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
@@ -141,15 +143,16 @@ class GaussianMap:
         write_ply(path, self.planes)
 
     @classmethod
-    def load(cls, path: Path) -> GaussianMap:
-        """A map that ``save`` or another 3DGS program wrote, on the CPU; ``BenchError`` for a file that is none.
+    def load(cls, path: Path, device: torch.device = _CPU) -> GaussianMap:
+        """A map that ``save`` or another 3DGS program wrote; ``BenchError`` for a file that is none.
 
         The file has the parameters alone: moments are zero, birth depths NaN, and no Gaussian has a keyframe.
         """
         planes = read_ply(path)
-        loaded = cls(degree_of(len(planes)), planes.device)
+        loaded = cls(degree_of(len(planes)), device)
         count = planes.shape[1]
-        loaded._append(planes, torch.full((count,), torch.nan), torch.full((count,), -1, dtype=torch.int32))
+        anchor = torch.full((count,), -1, dtype=torch.int32, device=device)
+        loaded._append(planes, torch.full((count,), torch.nan), anchor)
         return loaded
 
     def _append(self, planes: Tensor, depths: Tensor, anchor: Tensor) -> None:
@@ -161,7 +164,8 @@ class GaussianMap:
             setattr(self, name, torch.cat([getattr(self, name), values], -1))
 
     def _move(self, which: slice, before: Float, after: Float) -> None:
-        """Apply the motion that takes pose ``before`` to pose ``after`` to some Gaussians: x -> R x + t, q -> r q."""
+        """Apply the motion that takes pose ``before`` to pose ``after`` to some Gaussians: x -> R x + t, q -> r q, and
+        their colours' harmonics turn."""
         R = after[:3, :3] @ before[:3, :3].T
 
         def tensor(values: Float) -> Tensor:
@@ -176,6 +180,11 @@ class GaussianMap:
         product = tensor(np.roll(columns.T, 1, axis=(0, 1)))  # from x y z w to w x y z
         self.planes[QUATERNION, which] = product @ self.planes[QUATERNION, which]
         self._turn_moments(QUATERNION, which, product)
+        if self.sh_degree:
+            bands = band_rotation(torch.from_numpy(R), self.sh_degree)
+            harmonics = torch.kron(bands, torch.eye(3, dtype=bands.dtype)).to(self.planes)  # the same per channel
+            self.planes[HARMONICS, which] = harmonics @ self.planes[HARMONICS, which]
+            self._turn_moments(HARMONICS, which, harmonics)
 
     def _turn_moments(self, planes: slice, which: slice, matrix: Tensor) -> None:
         """The K parameters ``planes`` of the Gaussians ``which`` have been multiplied by an orthogonal (K, K) matrix.

@@ -14,11 +14,13 @@ import torch
 
 from bench import registry
 from bench.contracts.loss import LossTerm
+from bench.contracts.map_view import MapView
 from bench.contracts.mapper import Mapper
 from bench.contracts.rasterizer import Rasterizer
 from bench.errors import BenchError
 from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.map import GaussianMap
+from bench.gaussians.map_view import GaussianMapView
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
 from bench.gaussians.schema import MAX_DEGREE, OPACITY_LOGIT
 from bench.gaussians.seeding import SeedingConfig, depth_to_seed_from, seed_gaussians
@@ -182,9 +184,10 @@ class GaussianMapper(Mapper):
         self._random.bit_generator.state = json.loads(state["random"])
 
     def render(self, view: PinholeView, depth: Map | None = None) -> RenderedView:
-        rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
-        color = rendered.color.clamp(0.0, 1.0).permute(1, 2, 0).float().cpu().numpy()
-        return RenderedView(color, rendered.depth.float().cpu().numpy(), rendered.alpha.float().cpu().numpy())
+        return self.view().render(view)
+
+    def view(self) -> MapView:
+        return GaussianMapView(self._map, self._rasterizer)
 
     def save(self, path: Path) -> None:
         self._map.save(path)

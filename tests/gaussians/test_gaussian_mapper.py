@@ -87,6 +87,15 @@ def test_report_of_a_keyframe() -> None:
     assert set(report.losses) == {"rgb", "ssim", "geo"}
 
 
+@pytest.mark.parametrize("sh_degree", [1, 3])
+def test_harmonics_are_learned(sh_degree: int) -> None:
+    mapper = mapped(iterations=6, sh_degree=sh_degree)
+    harmonics = mapper._map.planes[14:]
+    assert len(harmonics) == {1: 9, 3: 45}[sh_degree]
+    assert float(harmonics.abs().mean()) > 1e-4
+    assert min(psnr_by_hand(mapper, keyframe) for keyframe in street()[1]) > 18.0
+
+
 def test_one_seed_gives_the_same_bytes_and_another_does_not(tmp_path: Path) -> None:
     first, again, other = (saved(mapped(seed, iterations=6), tmp_path / "map.ply") for seed in (0, 0, 1))
     assert first == again

@@ -9,14 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from test_gaussian_mapper import mapped, started, street
 
+from bench.authoring.random_scenes import SceneSpec, random_scene
 from bench.errors import BenchError
+from bench.gaussians.map import GaussianMap
+from bench.gaussians.map_view import GaussianMapView
 from bench.gaussians.parameters import NamedParameters
 from bench.gaussians.ply import read_ply
 from bench.gaussians.schema import COLOR, OPACITY_LOGIT
+from bench.registry import PluginConfig
 from bench.types import Float, PinholeView, RenderedView, Trajectory
 from plugins.mappers.gaussian import GaussianMapper, GaussianMapperConfig
+from plugins.rasterizers.cpu import CpuRasterizer
 
 
 def axis_turn(axis: tuple[float, float, float], degrees: float, shift: tuple[float, float, float]) -> Float:
@@ -82,6 +88,25 @@ def test_a_world_that_moves_as_a_whole_looks_the_same() -> None:
             difference = np.abs(getattr(old, attribute) - getattr(new, attribute)) / scale
             assert np.quantile(difference, 0.999) < 1e-3
             assert np.median(difference) < 1e-5
+
+
+@pytest.mark.parametrize("sh_degree", [1, 2, 3])
+def test_harmonics_turn_with_their_keyframe(sh_degree: int) -> None:
+    """A turned map from a turned camera looks as before, which it does not if its harmonics stay."""
+    planes, view = random_scene(SceneSpec(1, 60, 48, 30, 2.0, (0.1, 0.9)))
+    random = torch.Generator().manual_seed(0)
+    harmonics = 0.1 * torch.randn(3 * ((sh_degree + 1) ** 2 - 1), 60, generator=random)
+    gaussians = GaussianMap(sh_degree, torch.device("cpu"))
+    gaussians.add(0, view.T_world_cam, torch.cat([planes, harmonics]), torch.ones(60))
+    sight = GaussianMapView(gaussians, CpuRasterizer(PluginConfig("cpu")))
+    before = sight.render(view).color
+    turned = replace(view, T_world_cam=GENERAL @ view.T_world_cam)
+    gaussians.follow(Trajectory(turned.T_world_cam[None], np.array([0]), np.zeros(1)), 0.0, 0.0)
+    difference = np.abs(sight.render(turned).color - before)
+    assert np.quantile(difference, 0.999) < 1e-3
+    assert np.median(difference) < 1e-5
+    gaussians.planes[14:] = harmonics
+    assert np.quantile(np.abs(sight.render(turned).color - before), 0.999) > 0.01
 
 
 def test_only_the_gaussians_of_moved_keyframes_move(tmp_path: Path) -> None:

@@ -1,0 +1,48 @@
+"""A Gaussian map as trackers and keyframers see it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from bench.contracts.map_view import ImageLoss, MapView
+from bench.contracts.rasterizer import Rasterizer
+from bench.errors import BenchError
+from bench.gaussians.map import GaussianMap
+from bench.types import Float, Map, PinholeView, RenderedView
+
+
+class GaussianMapView(MapView):
+    """Looks at ``gaussians`` as they are when it is asked; never changes them."""
+
+    def __init__(self, gaussians: GaussianMap, rasterizer: Rasterizer) -> None:
+        self._map, self._rasterizer = gaussians, rasterizer
+
+    def render(self, view: PinholeView) -> RenderedView:
+        """The map from a view, colours clamped to [0, 1]."""
+        rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
+        color = rendered.color.clamp(0.0, 1.0).permute(1, 2, 0).float().cpu().numpy()
+        return RenderedView(color, rendered.depth.float().cpu().numpy(), rendered.alpha.float().cpu().numpy())
+
+    def differentiate(self, view: PinholeView, loss: ImageLoss) -> tuple[float, Float]:
+        """Value and gradient (6,) by the twist; ``BenchError`` for a loss that does not depend on the render."""
+        rendered = self._rasterizer.render(self._map.planes, view)
+        images = [image.detach().requires_grad_() for image in (rendered.color, rendered.depth, rendered.alpha)]
+        with torch.enable_grad():
+            value = loss(*images)
+        if not value.requires_grad:
+            raise BenchError("The loss given to MapView.differentiate() does not depend on colour, depth or alpha.")
+        gradients = torch.autograd.grad(value, images, allow_unused=True, materialize_grads=True)
+        color, depth, alpha = (gradient.contiguous() for gradient in gradients)
+        twist = self._rasterizer.backward(rendered, color, depth, alpha, pose=True).twist
+        assert twist is not None
+        return float(value.detach()), twist.double().cpu().numpy()
+
+    def seen(self, view: PinholeView) -> npt.NDArray[np.int32]:
+        """(N,) pixels per Gaussian in which it is blended while more than half of the light is left."""
+        return self._rasterizer.observe(self._map.planes, view).pixels.cpu().numpy()
+
+    def median_depth(self, view: PinholeView) -> Map:
+        """(H, W) metres of the Gaussian with which half of the light is gone; NaN where it never is."""
+        return self._rasterizer.observe(self._map.planes, view).median_depth.float().cpu().numpy()
