@@ -113,14 +113,31 @@ def test_evaluating_again_gives_the_same_bytes(tiny_run: Path) -> None:
     assert first == {name: (tiny_run / name).read_bytes() for name in first}
 
 
-def test_each_frame_is_decoded_once(tiny_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = SavedRunFolder(tiny_run)
+def test_each_picture_is_decoded_once_for_all(
+    tmp_path: Path, tiny_config: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Eight renders, four left depths; the depth of right views nobody asks for."""
+    tiny_config["evaluator"] |= {name: {"name": name} for name in ("regions", "dialects")}
+    run = SavedRunFolder(write_tiny_run(tmp_path / "run", tiny_config))
+    read: list[str] = []
+    monkeypatch.setattr(
+        run, "_picture", lambda path, *how: read.append(path) or SavedRunFolder._picture(run, path, *how)
+    )
     decoded = run.dataset.decoded  # type: ignore[attr-defined]
     monkeypatch.setattr("bench.evaluation.run_evaluators.SavedRunFolder", lambda path: run)
     steps: list[tuple[str, int, int]] = []
-    evaluate_run(tiny_run, lambda *step: steps.append(step))
+    evaluate_run(run.path, lambda *step: steps.append(step))
+    assert len(read) == len(set(read)) == 8 + 4
     assert decoded == [number for number in NUMBERS if number != LOST]
     assert steps[-1][1] == steps[-1][2] == 4
+
+
+def test_what_nobody_asks_for_is_not_decoded(tmp_path: Path, tiny_config: dict[str, Any]) -> None:
+    tiny_config["evaluator"] = {"depth_l1": {"name": "depth_l1"}}
+    run = SavedRunFolder(write_tiny_run(tmp_path / "run", tiny_config))
+    for number in LEFT_ERROR:
+        picture_path(run.path, "left", "color", number).write_text("no picture")
+    assert "depth_l1_cm" in evaluate_run(run.path)["views"]["left"]
 
 
 def test_lpips_is_reported_or_explained(
