@@ -204,6 +204,7 @@ def test_views_that_a_mapper_could_not_render_are_absent(tiny_run: Path) -> None
     frames = pd.read_csv(tiny_run / "frames.csv")
     frames["left_color"] = frames["left_depth"] = frames["number"].isin([11, 13])
     frames["right_color"] = frames["state"] != "lost"
+    frames["absent"] = frames["number"].isin([10, 14]).map({True: "the view has no depth", False: ""})
     frames.to_csv(tiny_run / "frames.csv", index=False)
     for number in (10, 14):
         picture_path(tiny_run, "left", "color", number).unlink()
@@ -214,6 +215,7 @@ def test_views_that_a_mapper_could_not_render_are_absent(tiny_run: Path) -> None
     }
     assert metrics["views"]["left"]["psnr_db"] == pytest.approx(psnr_of(LEFT_ERROR[11], LEFT_ERROR[HELD_OUT]))
     assert "renders of 2 of 5 frames" in metrics["notes"]["output"]
+    assert "the view has no depth" in metrics["notes"]["output"]
     assert metrics["frames"]["tracked"] == 4
 
 
