@@ -10,6 +10,7 @@ import re
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,15 @@ class RootConfig:
     evaluator: Any = None
     """Evaluators, several of `bgs-bench list evaluator`."""
 
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise BenchError(f"seed={self.seed} is negative; choose 0 or more.")
+        if not self.checkpoint_s >= 0:
+            raise BenchError(f"checkpoint_s={self.checkpoint_s} must be 0 or more seconds, or inf for no checkpoints.")
+        if self.threads < 0:
+            raise BenchError(f"threads={self.threads} must be 0 (all cores) or a positive number.")
+        require_choice("pipeline", self.pipeline, ["parallel", "sequential"])
+
 
 @dataclass(frozen=True)
 class RunConfig:
@@ -101,23 +111,33 @@ class RunConfig:
 
     def plugin(self, kind: str) -> PluginConfig:
         """The typed config of the one plugin of a kind."""
-        return plugin_config_from(kind, self.values[kind])
+        return self._plugins[kind][0]
 
     def several(self, kind: str) -> list[PluginConfig]:
         """The typed configs of all plugins of a kind of which a run uses several (losses, evaluators)."""
-        return [plugin_config_from(kind, mapping) for mapping in (self.values[kind] or {}).values()]
+        return self._plugins[kind]
 
-    @property
+    def parse(self) -> None:
+        """Check all settings now, where each part would check its own when it is asked for; raises ``BenchError``."""
+        _ = self._plugins, self.protocol, self.limits
+
+    @cached_property
+    def _plugins(self) -> dict[str, list[PluginConfig]]:
+        chosen = {kind: self.values[kind] or {} for kind in RUN_KINDS}
+        mappings = {kind: list(of.values()) if kind in SEVERAL_AT_ONCE else [of] for kind, of in chosen.items()}
+        return {kind: [plugin_config_from(kind, mapping) for mapping in of] for kind, of in mappings.items()}
+
+    @cached_property
     def protocol(self) -> Protocol:
         """How the run is scored."""
         return Protocol.from_mapping(self.values["protocol"])
 
-    @property
+    @cached_property
     def cache(self) -> CacheConfig:
         """The disk cache of depth maps and sky masks."""
-        return CacheConfig.from_mapping(self.values["cache"])
+        return CacheConfig(**self.values["cache"])
 
-    @property
+    @cached_property
     def limits(self) -> LimitsConfig:
         """Where the run ends itself."""
         return LimitsConfig(**self.values["limits"])
@@ -189,10 +209,10 @@ def resolved(composed: DictConfig) -> RunConfig:
             raise BenchError(f"No {kind} is chosen; there are {', '.join(registry.names(kind))}.")
     for kind, mapping in plugins_in(plain):
         _make_paths_absolute(kind, mapping)
-    Protocol.from_mapping(plain["protocol"])
     plain["cache"] = dataclasses.asdict(CacheConfig.from_mapping(plain["cache"]))
-    require_choice("pipeline", plain["pipeline"], ["parallel", "sequential"])
-    return RunConfig(plain, hash_of(plain))
+    config = RunConfig(plain, hash_of(plain))
+    config.parse()
+    return config
 
 
 def hash_of(values: Mapping[str, Any]) -> str:
@@ -203,20 +223,14 @@ def hash_of(values: Mapping[str, Any]) -> str:
 
 
 def _check_root(values: Mapping[str, Any]) -> None:
-    """Raise ``BenchError`` for a key that no run has (Hydra's ``+key=`` adds any), or a seed that is no seed."""
+    """Raise ``BenchError`` for a key that no run has (Hydra's ``+key=`` adds any), or a wrong value."""
     accepted = [setting.name for setting in dataclasses.fields(RootConfig)]
     for key in values:
         if key not in accepted:
             raise BenchError(
                 f"There is no setting '{key}'; there are {', '.join(accepted)}.{did_you_mean(key, accepted)}"
             )
-    if values["seed"] < 0:
-        raise BenchError(f"seed={values['seed']} is negative; choose 0 or more.")
-    if not values["checkpoint_s"] >= 0:
-        raise BenchError(f"checkpoint_s={values['checkpoint_s']} must be 0 or more seconds, or inf for no checkpoints.")
-    if values["threads"] < 0:
-        raise BenchError(f"threads={values['threads']} must be 0 (all cores) or a positive number.")
-    LimitsConfig(**values["limits"])
+    RootConfig(**values)
 
 
 def check_overrides(overrides: Sequence[str]) -> list[Override]:

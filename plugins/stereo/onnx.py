@@ -60,9 +60,9 @@ class OnnxConfig(NetworkConfig):
     unit: str | None = None
     """A disparity of 1 in the output is one pixel of the fed image (px) or its whole width (width)."""
     gain: float | None = None
+    """Factor of the output, -1 for networks that give the (negative) flow."""
     confidence: str = ""
     """Output that says how sure the network is, 0 to 1 for each pixel, by name or position; empty: it has none."""
-    """Factor of the output, -1 for networks that give the (negative) flow."""
     threads: int = 0
     """CPU threads; 0: as many as torch has been given."""
 

@@ -36,30 +36,34 @@ sys.exit(main())
 
 
 @pytest.mark.slow
-def test_a_file_in_a_checkout(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def without_any(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What is listed where no plugin comes by any route."""
+    return bgs_bench("list", "stereo", cwd=tmp_path_factory.mktemp("empty"))
+
+
+def test_a_file_in_a_checkout(tmp_path: Path, without_any: str) -> None:
     shutil.copytree(ROOT / "plugins", tmp_path / "plugins", ignore=shutil.ignore_patterns("__pycache__"))
-    file = write_plugin("stereo", "route_file", tmp_path / "plugins" / "stereo").file
-    arguments = ["-c", _IN_CHECKOUT, str(tmp_path), "list", "stereo"]
-    listing = python(arguments, tmp_path)
+    write_plugin("stereo", "route_file", tmp_path / "plugins" / "stereo")
+    listing = python(["-c", _IN_CHECKOUT, str(tmp_path), "list", "stereo"], tmp_path)
     assert re.search(_LISTED.format("route_file"), listing)
     assert re.search(r"stereo +sgbm +available", listing)
     assert "broken" not in listing
-    file.unlink()
-    assert "route_file" not in python(arguments, tmp_path)
+    assert "route_file" not in without_any
 
 
 @pytest.mark.slow
-def test_a_folder(tmp_path: Path) -> None:
+def test_a_folder(tmp_path: Path, without_any: str) -> None:
     write_plugin("stereo", "route_folder", tmp_path / "mine")
     assert re.search(_LISTED.format("route_folder"), bgs_bench("list", "stereo", "--plugins", "mine", cwd=tmp_path))
-    assert "route_folder" not in bgs_bench("list", "stereo", cwd=tmp_path)
+    assert "route_folder" not in without_any
     shown = bgs_bench("run", "stereo=route_folder", "plugins=[mine]", "--print-config", cwd=tmp_path)
     assert "max_disparity: 96" in shown
 
 
 @pytest.mark.slow
-def test_an_installed_package(tmp_path: Path) -> None:
-    """Built and installed by pip (setuptools, no network) into a folder; removed again by deleting it."""
+def test_an_installed_package(tmp_path: Path, without_any: str) -> None:
+    """Built and installed by pip (setuptools, no network) into a folder."""
     source, target = tmp_path / "source", tmp_path / "site"
     file = write_plugin("stereo", "route_package", source / "acme_stereo").file
     shutil.rmtree(source / "acme_stereo" / "tests")
@@ -77,7 +81,7 @@ def test_an_installed_package(tmp_path: Path) -> None:
     verdict = bgs_bench("check-plugin", "stereo=route_package", cwd=tmp_path, PYTHONPATH=str(target))
     assert "site/acme_stereo/route_package.py" in verdict
     assert re.search(r"all \d+ checks passed", verdict)
-    assert "route_package" not in bgs_bench("list", "stereo", cwd=tmp_path)
+    assert "route_package" not in without_any
 
 
 @pytest.mark.slow

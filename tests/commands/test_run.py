@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import TINY, bgs_bench, command, environment
+from conftest import TINY, command, environment
 from plyfile import PlyData
 
 from bench.cli import main
@@ -169,25 +169,32 @@ def test_the_folder_of_another_config_is_left_alone(copy: Path, capsys: pytest.C
 
 
 @pytest.mark.slow
-def test_a_sweep_makes_a_folder_a_cell_and_a_table(tmp_path: Path) -> None:
+def test_a_sweep_makes_a_folder_a_cell_and_a_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     """Overrides may stand on both sides of -m."""
-    process = bgs_bench("run", *TINY, "-m", "seed=0,1", "output=sweep", cwd=tmp_path)
-    assert (process.returncode, process.stderr) == (0, "")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "400")
+    assert main(["run", *TINY, "-m", "seed=0,1", "output=sweep"]) == 0
+    said = capfd.readouterr()
+    assert said.err == ""
     runs = sorted(path.parent for path in (tmp_path / "sweep").glob("*/metrics.json"))
     assert len(runs) == 2
     assert {read(run / "provenance.json")["seed"] for run in runs} == {0, 1}
     assert {read(run / "status.json")["state"] for run in runs} == {"done"}
     for run in runs:
-        assert process.stdout.count(run.name) >= 1
+        assert said.out.count(run.name) >= 1
     assert [path.name for path in tmp_path.iterdir()] == ["sweep"]
 
 
 @pytest.mark.slow
-def test_a_cell_that_fails_stops_no_other(tmp_path: Path, stopping_plugin: Path) -> None:
+def test_a_cell_that_fails_stops_no_other(
+    tmp_path: Path, stopping_plugin: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     options = [f"plugins=[{stopping_plugin}]", "tracker=stopping_for_tests,groundtruth", "output=sweep"]
-    process = bgs_bench("run", "-m", *TINY[:4], "protocol.lpips=false", *options, cwd=tmp_path)
-    assert process.returncode == 1
-    assert "Traceback" not in process.stdout + process.stderr
+    assert main(["run", "-m", *TINY[:4], "protocol.lpips=false", *options]) == 1
+    assert "Traceback" not in "".join(capfd.readouterr())
     states = sorted(read(path)["state"] for path in (tmp_path / "sweep").glob("*/status.json"))
     assert states == ["done", "failed"]
 
@@ -241,16 +248,18 @@ def test_a_stopped_run_says_interrupted_and_keeps_what_was_done(
         ("memory", "out_of_memory", "MemoryError"),
     ],
 )
-def test_a_run_that_breaks(tmp_path: Path, stopping_plugin: Path, how: str, state: str, reason: str) -> None:
+def test_a_run_that_breaks(
+    tmp_path: Path, stopping_plugin: Path, how: str, state: str, reason: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "run"
     options = [f"plugins=[{stopping_plugin}]", "tracker=stopping_for_tests", f"tracker.how={how}"]
-    process = bgs_bench("run", *TINY[:4], *options, f"output={folder}", cwd=tmp_path)
-    assert process.returncode == 1
-    assert process.stderr.count("\n") == 1
-    assert process.stderr.startswith(f"bgs-bench: The run failed: {' '.join(reason.split())}")
-    assert "stopping.py" in process.stderr
-    assert f"the traceback is in {folder / 'log.txt'}" in process.stderr
-    assert "Traceback" not in process.stdout + process.stderr
+    assert main(["run", *TINY[:4], *options, f"output={folder}"]) == 1
+    said = capfd.readouterr()
+    assert said.err.count("\n") == 1
+    assert said.err.startswith(f"bgs-bench: The run failed: {' '.join(reason.split())}")
+    assert "stopping.py" in said.err
+    assert f"the traceback is in {folder / 'log.txt'}" in said.err
+    assert "Traceback" not in said.out + said.err
     status = read(folder / "status.json")
     assert (status["state"], status["reason"], status["frames_done"]) == (state, reason, 2)
     assert "Traceback" in (folder / "log.txt").read_text()

@@ -6,7 +6,6 @@ import csv
 from pathlib import Path
 
 import pytest
-from conftest import bgs_bench
 
 from bench.cli import main
 
@@ -73,11 +72,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_broken_backbones_have_a_row_and_the_others_go_on(folder: Path, tmp_path: Path) -> None:
+def test_broken_backbones_have_a_row_and_the_others_go_on(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     chosen = "raising_for_tests,offset_for_tests,killed_for_tests"
     settings = ("stereo.offset_for_tests.px=0.5,2.5", "--out", "t.csv", "t.md", "--per-image", "images.csv")
-    process = bgs_bench("stereo-eval", f"stereo={chosen}", *STREET, f"plugins=[{folder}]", *settings, cwd=tmp_path)
-    assert (process.returncode, process.stderr) == (1, "")
+    assert main(["stereo-eval", f"stereo={chosen}", *STREET, f"plugins=[{folder}]", *settings]) == 1
+    assert capfd.readouterr().err == ""
     with open(tmp_path / "t.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["stereo"], row["dataset"], row["status"]) for row in rows] == [

@@ -43,9 +43,7 @@ def needed(launcher: str) -> object:
 def basic(tmp_path_factory: pytest.TempPathFactory, kitti: Path) -> Bench:
     """A sweep of one seed by the basic launcher."""
     bench = Bench(tmp_path_factory.mktemp("basic") / "bench", kitti)
-    process = bench.start("--seeds", "0")
-    said, _ = process.communicate(timeout=120)
-    assert process.returncode == 0, said
+    assert bench.reproduce("--seeds", "0") == 0
     return bench
 
 
@@ -80,9 +78,7 @@ def test_the_same_table_and_a_gpu_for_each(
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
     bench = make_bench("bench")
     bench.behave(others="slow", seed0="slow")
-    sweep = bench.start("--seeds", "0", "--jobs", "2", f"launcher={launcher}")
-    said, _ = sweep.communicate(timeout=120)
-    assert sweep.returncode == 0, said
+    assert bench.reproduce("--seeds", "0", "--jobs", "2", f"launcher={launcher}") == 0
     assert len(bench.started()) == 7
     assert bench.tables() == basic.tables()
     used = check_gpus((bench.control / "gpus.txt").read_text())
@@ -150,9 +146,7 @@ def test_slurm_by_a_stand_in(
     monkeypatch.setenv("PATH", f"{tmp_path / 'slurm'}:{os.environ['PATH']}")
     bench = make_bench("bench")
     settings = ("hydra.launcher.partition=fast", "hydra.launcher.cpus_per_task=2")
-    sweep = bench.start("--seeds", "0", "launcher=slurm", *settings)
-    said, _ = sweep.communicate(timeout=180)
-    assert sweep.returncode == 0, said
+    assert bench.reproduce("--seeds", "0", "launcher=slurm", *settings) == 0
     assert len(bench.started()) == 7
     assert bench.tables() == basic.tables()
     submitted = (tmp_path / "slurm" / "submitted").read_text().splitlines()
@@ -191,12 +185,10 @@ def test_a_killed_worker_ends_no_other_run_and_the_same_command_goes_on(
     assert "ablation.md" in bench.tables()
 
     bench.behave()
-    again = bench.start(*command)
-    said, _ = again.communicate(timeout=120)
-    assert again.returncode == 0, said
+    assert bench.reproduce(*command) == 0
     assert bench.started() == [f"{FULL}0"]
     if launcher == "joblib":
-        bench.start("--seeds", "0").communicate(timeout=120)
+        assert bench.reproduce("--seeds", "0") == 0
     assert bench.tables() == basic.tables()
 
 
@@ -215,8 +207,7 @@ def test_a_killed_sweep_leaves_its_run_but_no_launcher(make_bench: MakeBench) ->
     os.kill(run, signal.SIGKILL)
     assert len(bench.started()) == 7
     bench.behave()
-    said, _ = (again := bench.start(*command)).communicate(timeout=120)
-    assert again.returncode == 0, said
+    assert bench.reproduce(*command) == 0
     assert len(bench.started()) == 8
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from bench.cli import main
 
 # Two runs of a street; what the runs learn differs between the seeds.
 RUNS = (
@@ -25,13 +24,13 @@ LAUNCHERS = {
 }
 
 
-def sweep(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
-    """Make the runs in ``folder``/runs."""
-    command = [sys.executable, "-m", "bench.cli", *RUNS, "output=runs", *more]
-    environment = os.environ | RAY | {"OMP_NUM_THREADS": "1", "COLUMNS": "400"}
-    return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
-    )
+def sweep(folder: Path, *more: str) -> int:
+    """Make the runs in ``folder``/runs, by processes of their own; the exit code."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for name, value in (RAY | {"OMP_NUM_THREADS": "1", "COLUMNS": "400"}).items():
+            patch.setenv(name, value)
+        return main([*RUNS, "output=runs", *more])
 
 
 def numbers(folder: Path) -> dict[str, Any]:
@@ -47,8 +46,7 @@ def numbers(folder: Path) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def basic(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("basic")
-    made = sweep(folder, "--jobs", "2")
-    assert (made.returncode, made.stderr) == (0, "")
+    assert sweep(folder, "--jobs", "2") == 0
     scores = numbers(folder)
     assert len(scores) == 4
     assert len({json.dumps(value["views"]) for name, value in scores.items() if "/" not in name}) == 2
@@ -57,13 +55,14 @@ def basic(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", LAUNCHERS)
-def test_the_numbers_of_the_basic_launcher(tmp_path: Path, basic: dict[str, Any], launcher: str) -> None:
+def test_the_numbers_of_the_basic_launcher(
+    tmp_path: Path, basic: dict[str, Any], launcher: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     module, options = LAUNCHERS[launcher]
     if importlib.util.find_spec("hydra_plugins") is None or importlib.util.find_spec(f"hydra_plugins.{module}") is None:
         pytest.skip(f"launcher={launcher} is not installed")
-    made = sweep(tmp_path, f"launcher={launcher}", *options)
-    assert (made.returncode, made.stderr) == (0, ""), made.stdout
+    assert sweep(tmp_path, f"launcher={launcher}", *options) == 0
+    assert capfd.readouterr().err == ""
     assert numbers(tmp_path) == basic
-    again = sweep(tmp_path, f"launcher={launcher}", *options)
-    assert again.returncode == 0
-    assert "started" not in again.stdout
+    assert sweep(tmp_path, f"launcher={launcher}", *options) == 0
+    assert "started" not in capfd.readouterr().out
