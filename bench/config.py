@@ -121,6 +121,10 @@ class RunConfig:
         """Check all settings now, where each part would check its own when it is asked for; raises ``BenchError``."""
         _ = self._plugins, self.protocol, self.limits
 
+    def __reduce__(self) -> tuple[type[RunConfig], tuple[dict[str, Any], str]]:
+        # Parsed again in another process, where a user's plugins have yet to be loaded when this arrives.
+        return RunConfig, (self.values, self.hash)
+
     @cached_property
     def _plugins(self) -> dict[str, list[PluginConfig]]:
         chosen = {kind: self.values[kind] or {} for kind in RUN_KINDS}
