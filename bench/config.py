@@ -167,7 +167,9 @@ def compose_run(overrides: Sequence[str]) -> RunConfig:
             composed = compose("config", [_hydra_line(override) for override in parsed])
         except (HydraException, OmegaConfBaseException) as error:
             raise BenchError(_explain(error, parsed)) from error
-    return resolved(composed)
+    config = resolved(composed)
+    config.parse()
+    return config
 
 
 def combinations(overrides: Sequence[str]) -> list[list[str]]:
@@ -214,9 +216,7 @@ def resolved(composed: DictConfig) -> RunConfig:
     for kind, mapping in plugins_in(plain):
         _make_paths_absolute(kind, mapping)
     plain["cache"] = dataclasses.asdict(CacheConfig.from_mapping(plain["cache"]))
-    config = RunConfig(plain, hash_of(plain))
-    config.parse()
-    return config
+    return RunConfig(plain, hash_of(plain))
 
 
 def hash_of(values: Mapping[str, Any]) -> str:

@@ -12,7 +12,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bench import registry
 from bench.errors import BenchError, did_you_mean, first_line
-from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, PluginConfig
+from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, Plugin, PluginConfig
+
+_parsed: dict[tuple[str, type[PluginConfig], str], PluginConfig] = {}
+"""The runs of a sweep share most of their parts, and parsing one takes milliseconds."""
 
 
 def plugins_in(values: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -29,6 +32,13 @@ def plugins_in(values: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]
 def plugin_config_from(kind: str, mapping: Mapping[str, Any]) -> PluginConfig:
     """The typed config of a plugin from plain data (``mapping["name"]`` names it); raises ``BenchError``."""
     plugin = registry.lookup(kind, str(mapping.get("name", "")))
+    key = (kind, plugin.config, repr(mapping))
+    if key not in _parsed:
+        _parsed[key] = _parse(kind, plugin, mapping)
+    return _parsed[key]
+
+
+def _parse(kind: str, plugin: Plugin, mapping: Mapping[str, Any]) -> PluginConfig:
     accepted = [f.name for f in dataclasses.fields(plugin.config)]
     for key in mapping:
         if key not in accepted:
