@@ -27,7 +27,8 @@ def documented(config: type) -> list[Setting]:
     """The settings of a config dataclass, inherited and nested ones too, in the order of its fields.
 
     A meaning is the string literal below the field; a field that is declared again without one keeps the inherited
-    meaning. ``name`` of a plugin's config is left out: the registry fills it in. ``OSError`` where there is no source.
+    meaning. A field that is a plugin (``plugin_field``) has its kind as type and a name as default. ``name`` of a
+    plugin's config is left out: the registry fills it in. ``OSError`` where there is no source.
     """
     written: dict[str, str] = {}
     meanings: dict[str, str] = {}
@@ -40,6 +41,10 @@ def documented(config: type) -> list[Setting]:
     settings = []
     for field in dataclasses.fields(config):
         if field.name == "name":
+            continue
+        if "plugin" in field.metadata:
+            kind, chosen = field.metadata["plugin"], field.metadata["default"]
+            settings.append(Setting(field.name, kind, chosen, meanings[field.name]))
             continue
         if dataclasses.is_dataclass(hints[field.name]):
             inner = documented(hints[field.name])
