@@ -18,8 +18,8 @@ from bench.sweeps.plan import Plan, make_plan
 from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView
 from bench.tables.named.find import named_table, table_files
-from bench.tables.named.records import VIEW_GROUPS
 from bench.tables.named.table import make_table
+from bench.tables.records.record import VIEW_GROUPS
 
 _EXAMPLES = """examples:
   bgs-bench reproduce ablation dataset.root=DIR

@@ -13,9 +13,10 @@ from bench.runs.config_file import RUNS_FOLDER
 from bench.tables.collect import collect_row, find_runs, row_of
 from bench.tables.document.forms import FORMS, form_of, save, text_of
 from bench.tables.named.find import table_names
-from bench.tables.named.records import VIEW_GROUPS, read_runs
+from bench.tables.named.records import read_runs
 from bench.tables.named.table import make_table
 from bench.tables.records.file import SUFFIX, is_record_file, read_record_file, record_text
+from bench.tables.records.record import VIEW_GROUPS
 from bench.tables.render import print_table, runs_document
 
 _ABOUT = f"""The named tables are NAMES; without a name: one row per run.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from bench.contracts.metric import Metric
@@ -13,10 +13,10 @@ from bench.evaluation.metrics import declared_metrics
 from bench.tables.collect import Row
 from bench.tables.document.model import UNKNOWN, Cell, Column, Data
 from bench.tables.named.fill import Statistic, choose_runs, statistic
-from bench.tables.named.grid import MINUS, OURS, Grid, Line, heading, in_digits
+from bench.tables.named.grid import OURS, Grid, Line, heading, signed, statistic_cell
 from bench.tables.named.settings import scored_config, settings_of
 from bench.tables.records.made import made_in_words
-from bench.tables.records.record import RunRecord, is_number
+from bench.tables.records.record import VIEW_GROUPS, RunRecord, is_number
 from bench.tables.render import footnotes
 
 METRICS = ("psnr_db", "ssim", "lpips", "depth_l1_cm", "ate_rmse_m")
@@ -25,11 +25,6 @@ _LEGEND = (
     "Line ours: mean ± sample standard deviation over seeds (number of runs), by the runs' protocol, of {views}. Lines "
     "below it: the same saved runs by the rules of other systems' evaluators, and in brackets their number minus ours."
 )
-_VIEWS = {
-    "left": "all left views",
-    "heldout": "left views that mapping never saw",
-    "right": "right views",
-}
 
 
 @dataclass(frozen=True)
@@ -122,7 +117,7 @@ def dialect_grid(name: str, groups: Sequence[ScoredGroup]) -> Grid:
 
 def dialect_notes(groups: Sequence[ScoredGroup], not_scored: int, views: str, problems: Sequence[str]) -> list[str]:
     """How to read the table, the rules of each dialect, our protocol, and why numbers are missing."""
-    notes = [_LEGEND.format(views=_VIEWS[views])]
+    notes = [_LEGEND.format(views=VIEW_GROUPS[views])]
     users: dict[str, list[str]] = {}
     for group in groups:
         for by, dialect in group.dialects.items():
@@ -185,13 +180,8 @@ def _cell(group: ScoredGroup, by: str, metric: Metric) -> Cell:
     found, difference = group.mean(by, metric), group.difference(by, metric)
     if found is None:
         return Cell(UNKNOWN)
-    text = in_digits(found.mean, metric)
-    text += "" if found.std is None else f" ± {in_digits(found.std, metric)}"
-    if difference is not None:
-        # No minus before a difference that rounds to 0.
-        rounded = round(difference, metric.decimals) or 0.0
-        text += f" ({rounded:+.{metric.decimals}f})".replace("-", MINUS)
+    cell = statistic_cell(found, metric)
+    text = cell.text + ("" if difference is None else f" ({signed(difference, metric.decimals or 0)})")
     links = tuple((str(run.seed), run.source) for run in group.runs) if by == OURS else ()
     # The number of runs stands on our line, and where a dialect could score fewer.
-    n = found.n if by == OURS or found.n < len(group.runs) else 0
-    return Cell(text, n, value=found.mean, links=links)
+    return replace(cell, text=text, n=found.n if by == OURS or found.n < len(group.runs) else 0, links=links)

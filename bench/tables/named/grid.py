@@ -152,7 +152,7 @@ class _Builder:
             parts = [self._filled.cells.get((row.label, sequence)) for sequence in table.sequences]
             mark = DAGGER if any(cell is not None and cell.is_part for cell in parts) else ""
             average = self._filled.average(row.label, slot.metric)
-            return Cell() if average is None else _statistic_cell(average, slot.metric, mark)
+            return Cell() if average is None else statistic_cell(average, slot.metric, mark)
         cell = self._filled.cells.get((row.label, slot.sequence))
         if cell is None:
             return Cell(WITHHELD if self._filled.facts[slot.sequence].withheld else "")
@@ -161,7 +161,7 @@ class _Builder:
             return Cell(CROSS if cell.state == "out of memory" else cell.state, links=links)
         if not slot.metric.of_part and any(run.state == "out of memory" for run in cell.shown):
             return Cell(CROSS, links=links)
-        found = _statistic_cell(cell.statistic(slot.metric), slot.metric, DAGGER if cell.is_part else "")
+        found = statistic_cell(cell.statistic(slot.metric), slot.metric, DAGGER if cell.is_part else "")
         return replace(found, links=links)
 
     def _paper_cell(self, row: MethodRow, method: str, slot: _Slot) -> Cell:
@@ -172,7 +172,7 @@ class _Builder:
         if published is None or shown.value is None or ours is None:
             return shown
         decimals = len(published.value.partition(".")[2])
-        return replace(shown, text=f"{shown.text} ({_signed(ours - shown.value, decimals)})")
+        return replace(shown, text=f"{shown.text} ({signed(ours - shown.value, decimals)})")
 
 
 def _published_cell(published: PublishedValue | None) -> Cell:
@@ -184,14 +184,16 @@ def _published_cell(published: PublishedValue | None) -> Cell:
     return Cell(published.value or "n/r", mark=mark, value=published.number)
 
 
-def _statistic_cell(found: Statistic | None, metric: Metric, mark: str) -> Cell:
+def statistic_cell(found: Statistic | None, metric: Metric, mark: str = "") -> Cell:
+    """A mean over runs and its spread, or that it is not known."""
     if found is None:
         return Cell(UNKNOWN)
     spread = "" if found.std is None else f" ± {in_digits(found.std, metric)}"
     return Cell(f"{in_digits(found.mean, metric)}{spread}", found.n, mark, value=found.mean)
 
 
-def _signed(difference: float, decimals: int) -> str:
+def signed(difference: float, decimals: int) -> str:
+    """A difference with its sign."""
     text = f"{difference:+.{decimals}f}".replace("-", MINUS)
     # A difference that rounds to nothing has no sign.
     return text if text.strip(f"+{MINUS}0.") else text[1:]

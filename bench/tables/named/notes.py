@@ -11,7 +11,7 @@ from bench.tables.named.fill import FilledTable, differences
 from bench.tables.named.grid import CROSS, DAGGER, Grid, PublishedNumbers
 from bench.tables.named.published import AVERAGE, PublishedValue
 from bench.tables.records.made import made_in_words
-from bench.tables.records.record import RunRecord
+from bench.tables.records.record import VIEW_GROUPS, RunRecord
 from bench.tables.render import footnotes
 
 # Of a run's settings, what a reader wants to know first; the rest is in each run's config.yaml.
@@ -24,11 +24,6 @@ _STATED = (
     ("mapper.iterations", "iterations"),
     ("mapper.rasterizer.name", "rasterizer"),
 )
-_VIEWS = {
-    "left": "all left views",
-    "heldout": "left views that mapping never saw",
-    "right": "right views",
-}
 
 
 def notes(
@@ -74,7 +69,7 @@ def _legend(filled: FilledTable, grid: Grid, views: str) -> str:
     if any(cell.text == "n/r" for cell in cells):
         text += " n/r: not reported."
     if filled.cells and any(metric.path.startswith("views.left.") for metric in filled.table.metrics):
-        text += f" Our image and depth metrics are of {_VIEWS[views]}."
+        text += f" Our image and depth metrics are of {VIEW_GROUPS[views]}."
     return text
 
 

@@ -10,7 +10,6 @@ from bench.runs.config_file import CONFIG_FILE, RUNS_FOLDER
 from bench.tables.collect import find_runs
 from bench.tables.records.file import KeptRuns, in_order, is_record_file, read_record_file
 from bench.tables.records.folder import read_folder
-from bench.tables.records.record import VIEW_GROUPS as VIEW_GROUPS
 
 
 def read_runs(paths: Sequence[Path], views: str | None = None) -> KeptRuns:

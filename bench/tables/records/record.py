@@ -12,7 +12,12 @@ from bench.contracts.metric import Metric
 from bench.evaluation.metrics import DECLARED, declared_metrics, metrics_from
 from bench.runs.system_name import system_name
 
-VIEW_GROUPS = ("left", "heldout", "right")
+VIEW_GROUPS = {
+    "left": "all left views",
+    "heldout": "left views that mapping never saw",
+    "right": "right views",
+}
+"""Whose image and depth metrics a table may show, and how it says so."""
 _LEFT = "views.left."
 
 
