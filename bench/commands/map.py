@@ -69,7 +69,7 @@ def _print(path: Path, gaussians: GaussianMap, console: Console) -> None:
     if not len(gaussians):
         return
     table = Table(box=None)
-    table.add_column("quantile")
+    table.add_column("quantile", no_wrap=True)
     for share in _QUANTILES:
         table.add_column(f"{100 * share:g} %", justify="right")
     named = NamedParameters(gaussians.planes)

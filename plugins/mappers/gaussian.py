@@ -113,6 +113,7 @@ class GaussianMapper(Mapper):
         self._optimizer = MapOptimizer(rates)
         self._map = GaussianMap(c.sh_degree, self._rasterizer.device)
         self._keyframes: dict[int, Keyframe] = {}
+        self._views: dict[int, PinholeView] = {}
         self._targets: OrderedDict[int, tuple[Target, Target]] = OrderedDict()
         self._final_done = 0
         self._happened: list[tuple[str, dict[str, Any]]] = []
@@ -143,6 +144,7 @@ class GaussianMapper(Mapper):
             known = self._keyframes.get(number)
             if known is not None and not np.array_equal(known.T_world_cam, pose):
                 self._keyframes[number] = replace(known, T_world_cam=pose)
+                self._views.pop(number, None)
         c = self.config
         motion = self._map.follow(trajectory, c.follow_corrections_m, c.follow_corrections_deg)
         if motion.keyframes:
@@ -202,10 +204,14 @@ class GaussianMapper(Mapper):
         if np.isfinite(gaps).any():
             number = int(numbers[1 + np.argmin(gaps)])
             del self._keyframes[number]
+            self._views.pop(number, None)
             self._targets.pop(number, None)
 
     def _view(self, number: int) -> PinholeView:
-        return PinholeView.of(self._camera, self._keyframes[number].T_world_cam)
+        """The view of a keyframe, made once per pose."""
+        if number not in self._views:
+            self._views[number] = PinholeView.of(self._camera, self._keyframes[number].T_world_cam)
+        return self._views[number]
 
     def _target(self, number: int, half: bool) -> Target:
         """The cached target of a keyframe; the least recently used one is dropped."""

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from bench.geometry import se3
+from bench.types import PinholeView
 
 
 def tangents(scale: float, count: int = 50) -> np.ndarray:
@@ -56,6 +60,22 @@ def test_quaternions_round_trip_near_half_a_turn() -> None:
     np.testing.assert_allclose(se3.quaternion_to_rotation(se3.rotation_to_quaternion(R)), R, atol=1e-14)
 
 
+def test_products_of_quaternions_are_those_of_scipy() -> None:
+    p, q = (np.random.default_rng(seed).normal(size=(20, 4)) for seed in (1, 2))
+    product = se3.quaternion_product(p, q)
+    turns = Rotation.from_quat(p) * Rotation.from_quat(q)
+    np.testing.assert_allclose(se3.quaternion_to_rotation(product), turns.as_matrix(), atol=1e-14)
+    lengths = np.linalg.norm(p, axis=1) * np.linalg.norm(q, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(product, axis=1), lengths, rtol=1e-14)
+    np.testing.assert_array_equal(se3.quaternion_product(p[3], q)[5], se3.quaternion_product(p[3], q[5]))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-3, 0.5, 3.0])
+def test_a_quaternion_by_way_of_the_rotation_vector_is_that_of_scipy(angle: float) -> None:
+    turn = Rotation.from_rotvec(angle * np.array([0.48, -0.6, 0.64]))
+    np.testing.assert_allclose(se3.rotation_to_quaternion_by_vector(turn.as_matrix()), turn.as_quat(), atol=1e-12)
+
+
 def test_orthonormalise_gives_the_nearest_rotation() -> None:
     T = se3.exp(tangents(1.0))
     stretched = T.copy()
@@ -68,3 +88,11 @@ def test_orthonormalise_gives_the_nearest_rotation() -> None:
 
 def test_rotation_angle_keeps_digits_of_small_angles() -> None:
     assert se3.rotation_angle(se3.so3_exp(np.array([0.0, 3e-9, 4e-9]))) == pytest.approx(5e-9, rel=1e-6)
+
+
+def test_a_view_is_inverted_once() -> None:
+    T = se3.exp(tangents(1.0, 1)[0])
+    view = PinholeView(T, 50.0, 55.0, 18.0, 13.0, 40, 24)
+    np.testing.assert_allclose(view.T_cam_world @ T, np.eye(4), atol=1e-14)
+    assert view.halved().T_cam_world is view.T_cam_world
+    assert replace(view, T_world_cam=np.eye(4)).T_cam_world[0, 3] == 0
