@@ -29,4 +29,8 @@ def expand_experiment(overrides: Sequence[str]) -> list[tuple[Cell, list[str]]]:
     folders = plugin_folders(check_overrides(others))
     files = table_files(folders)
     table = read_table(files[require_choice("experiment", names[0], files)], folders)
-    return [(cell, cell.overrides_with(others)) for cell in cells(table) if not cell.blocked]
+    of_table = cells(table)
+    found = [(cell, cell.overrides_with(others)) for cell in of_table if not cell.blocked]
+    if not found:
+        raise BenchError(f"No cell of {table.name} can be run: {of_table[0].blocked}")
+    return found

@@ -143,6 +143,14 @@ def test_an_experiment_of_a_users_table(mine: Path) -> None:
     ]  # fmt: skip
 
 
+def test_a_table_with_nothing_to_run_says_so(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (mine / "table" / "invented.yaml").write_text(TABLE.replace("    overrides: stereo=sgbm\n", ""))
+    for command in (["reproduce", "invented"], ["run", "-m", "experiment=invented"]):
+        assert main([*command, f"plugins=[{mine}]"]) == 2
+        assert "invented.yaml has no row of ours, so there is nothing to run" in capsys.readouterr().err
+    assert main(["table", "invented", "--plugins", str(mine), "--format", "md"]) == 0
+
+
 def test_what_is_known_of_sequences_may_lie_beside_the_table(mine: Path, tmp_path: Path) -> None:
     head = "dataset,sequence,length_km,frames,frames_rounded_to,withheld,source\n"
     (mine / "table" / "sequences.csv").write_text(f"{head}street,north_1,0.4,900,1,,Anon\n")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from bench.contracts.metric import Metric
+from bench.errors import BenchError
 from bench.tables.named.published import SequenceFacts
 
 
@@ -80,8 +81,11 @@ class Cell:
 
 
 def cells(table: NamedTable) -> list[Cell]:
-    """Every place of the table that runs of ours can fill, row by row; each wants one run for each of its seeds."""
-    return [
+    """Every place of the table that runs of ours can fill, row by row; each wants one run for each of its seeds.
+
+    Raises ``BenchError`` for a table without any.
+    """
+    found = [
         Cell(
             row.label,
             sequence,
@@ -94,3 +98,6 @@ def cells(table: NamedTable) -> list[Cell]:
         if row.overrides is not None
         for sequence, chosen in table.sequences.items()
     ]
+    if not found:
+        raise BenchError(f"{table.file} has no row of ours, so there is nothing to run. Give a row overrides.")
+    return found
