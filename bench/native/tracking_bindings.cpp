@@ -226,7 +226,6 @@ nb::tuple bundle(const std::vector<double>& camera, const In<double, 3>& T_cam_w
         std::copy(packed.begin(), packed.end(), pose.begin() + static_cast<ptrdiff_t>(12 * i));
     }
     std::vector<uint8_t> inlier(m);
-    double before = 0.0, after = 0.0;
     {
         nb::gil_scoped_release release;
         const bgs::CellIndex index(of, static_cast<int>(p));
@@ -238,11 +237,11 @@ nb::tuple bundle(const std::vector<double>& camera, const In<double, 3>& T_cam_w
         args.pose = pose.data(), args.point = position.data(), args.keyframe = frame.data(), args.measured = measured.data();
         args.start = index.start.data(), args.by_point = index.order.data();
         args.rounds = iterations.data(), args.round_count = static_cast<int>(iterations.size());
-        args.inlier = inlier.data(), args.cost_before = &before, args.cost_after = &after, args.scratch = scratch.get();
+        args.inlier = inlier.data(), args.scratch = scratch.get();
         bgs::tracking().bundle(args);
     }
     for (size_t i = 0; i < k; ++i) unpack_pose(pose.data() + 12 * i, out.data() + 16 * i);
-    return nb::make_tuple(array(std::move(out), {k, 4, 4}), array(std::move(position), {p, 3}), array(std::move(inlier), {m}), before, after);
+    return nb::make_tuple(array(std::move(out), {k, 4, 4}), array(std::move(position), {p, 3}), array(std::move(inlier), {m}));
 }
 
 }  // namespace

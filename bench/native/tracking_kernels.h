@@ -84,7 +84,6 @@ struct BundleArgs {
     const int* rounds;           // iterations of each round
     int round_count;
     uint8_t* inlier;             // (M,): out
-    double *cost_before, *cost_after;
     double* scratch;             // bundle_scratch() doubles
 };
 

@@ -36,14 +36,11 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """Optimised poses (K, 4, 4) and points (P, 3); ``inliers`` (M,) pass their chi-square gate; robust costs of before
-    and after, in chi-square units."""
+    """Optimised poses (K, 4, 4) and points (P, 3); ``inliers`` (M,) pass their chi-square gate."""
 
     T_cam_world: Float
     points: Float
     inliers: Mask
-    cost_before: float
-    cost_after: float
 
 
 def solve(camera: StereoCamera, problem: Problem, iterations: tuple[int, ...] = (3, 3)) -> Solution:
@@ -53,7 +50,7 @@ def solve(camera: StereoCamera, problem: Problem, iterations: tuple[int, ...] = 
     Points that end up with a single mono observation keep their place through the damping. Poses with index below
     ``fixed`` come back unchanged. A step that raises the cost is undone, so the cost never grows within a round.
     """
-    T, points, inliers, before, after = _native.bundle_adjust(
+    T, points, inliers = _native.bundle_adjust(
         camera_numbers(camera),
         problem.T_cam_world,
         problem.fixed,
@@ -64,4 +61,4 @@ def solve(camera: StereoCamera, problem: Problem, iterations: tuple[int, ...] = 
         list(iterations),
     )
     T[problem.fixed :] = se3.orthonormalise(T[problem.fixed :])
-    return Solution(T, points, inliers.astype(bool), before, after)
+    return Solution(T, points, inliers.astype(bool))
