@@ -118,7 +118,7 @@ def _timestamps(subject: Subject) -> str | Note:
     if len(times) < 2:
         return Note("one frame only")
     step = (times[-1] - times[0]) / (subject.sampled[-1] - subject.sampled[0])
-    text = f"{1 / step:.3g} frames a second"
+    text = f"{1 / step:.3g} frames per second"
     return text if 1e-4 < step < 60 else Note(f"{text}: are timestamps in seconds?")
 
 
@@ -183,7 +183,7 @@ def _ground_truth(subject: Subject) -> str | Note:
     mean, length = steps.mean(axis=0), float(np.linalg.norm(steps, axis=1).mean())
     axis = int(np.argmax(np.abs(mean)))
     text = (
-        f"{len(T)} poses in SE(3), {length:.3g} m a frame, mostly along {'-' if mean[axis] < 0 else '+'}{'xyz'[axis]}"
+        f"{len(T)} poses in SE(3), {length:.3g} m per frame, mostly along {'-' if mean[axis] < 0 else '+'}{'xyz'[axis]}"
     )
     if length > 0.01 and (axis != 2 or mean[2] < 0):
         return Note(f"{text} of the camera: a car drives along +z; other axes, or world to camera?")

@@ -56,7 +56,7 @@ class Subject:
 
 
 def _write_run(folder: RunFolder, dataset: Any, complete: bool) -> None:
-    """Renders are the true images, brighter by 4 grey levels; the estimated poses are off by 1 cm a frame."""
+    """Renders are the true images, brighter by 4 grey levels; the estimated poses are off by 1 cm per frame."""
     numbers = list(dataset.numbers[:_FRAMES])
     state = "done" if complete else "interrupted"
     truth = dataset.ground_truth()

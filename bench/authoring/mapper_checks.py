@@ -78,7 +78,7 @@ class Subject:
     def map(self, keyframes: list[Keyframe], break_after: int | None = None) -> Mapped:
         """Learn from the keyframes in the order of calls of a run.
 
-        With ``break_after`` a fresh instance goes on after so many keyframes, from what a checkpoint would hold.
+        With ``break_after`` a fresh instance resumes after so many keyframes, from what a checkpoint would hold.
         """
         mapper, reports, begin = self.started(), [], time.perf_counter()
         numbers = [keyframe.frame.number for keyframe in keyframes]
@@ -281,7 +281,7 @@ def _resumes(subject: Subject) -> str | Note:
 
 def _speed(subject: Subject) -> Note:
     camera = subject.dataset.camera
-    return Note(f"{subject.mapped.seconds:.2f} s a keyframe at {camera.width}x{camera.height}")
+    return Note(f"{subject.mapped.seconds:.2f} s per keyframe at {camera.width}x{camera.height}")
 
 
 def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:

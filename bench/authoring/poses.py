@@ -65,7 +65,7 @@ def require_trajectory(answer: Any, numbers: Sequence[int], what: str, method: s
         raise ContractBrokenError(
             f"{what} has poses {np.shape(answer.T_world_cam)} and timestamps {np.shape(answer.timestamps)}",
             f"({len(found)}, 4, 4) and ({len(found)},)",
-            "one pose and one time a frame; of no frame: np.zeros((0, 4, 4))",
+            "one pose and one time per frame; of no frame: np.zeros((0, 4, 4))",
             method,
         )
     require_pose(answer.T_world_cam, what, method)

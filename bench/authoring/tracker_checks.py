@@ -21,7 +21,7 @@ _STATES = ("ok", "weak", "lost")
 
 @dataclass(frozen=True)
 class Drive:
-    """What a tracker said about the first frames: one result a frame, the trajectory at the end, ms a frame."""
+    """What a tracker said about the first frames: one result per frame, the trajectory at the end, ms per frame."""
 
     results: list[TrackingResult]
     trajectory: Trajectory
@@ -172,7 +172,7 @@ def _length(poses: np.ndarray) -> float:
 
 def _speed(subject: Subject) -> Note:
     camera = subject.dataset.camera
-    return Note(f"{subject.drive.ms:.1f} ms a frame at {camera.width}x{camera.height}")
+    return Note(f"{subject.drive.ms:.1f} ms per frame at {camera.width}x{camera.height}")
 
 
 def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:

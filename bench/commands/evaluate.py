@@ -12,7 +12,7 @@ from bench.errors import BenchError
 from bench.evaluation.rescore import copy_for
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.evaluation.saved_run import SavedRunFolder
-from bench.report.scoring_bar import scoring_bar
+from bench.report.progress import scoring_progress
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
 
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         raise BenchError("--out is for scores under other settings; say which, for example protocol=paper.")
     if args.overrides:
         folder = copy_for(SavedRunFolder(args.folder), args.overrides, args.out)
-    with scoring_bar(console) as show:
+    with scoring_progress(console) as show:
         evaluate_run(folder, show)
     print_table([collect_row(folder)], console)
     if args.overrides:

@@ -28,7 +28,7 @@ _EXAMPLES = """examples:
   bgs-bench reproduce main_kitti dataset.root=DIR --dry-run
   bgs-bench reproduce mine 'plugins=[FOLDER]' dataset.root=DIR       # a table of yours, FOLDER/table/mine.yaml
 
-Killed or stopped, the same command goes on where it was. A run is whole or made again; those that are there stay."""
+Killed or stopped, the same command resumes where it was. A run is whole or made again; those that are there stay."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         make_runs(plan, launcher, choice, SweepView(console, table.name, plan.runs, launcher.at_once))
     except KeyboardInterrupt:
-        _say(f"stopped; {_counted(plan)}. The same command goes on from there.", console)
+        _say(f"stopped; {_counted(plan)}. The same command resumes from there.", console)
         return 130
     _write_table(table.name, folders, plan, args, console)
     _say(f"{table.name}: {_counted(plan)}", console)

@@ -141,7 +141,7 @@ def _multirun(args: argparse.Namespace, console: Console) -> int:
     try:
         make_runs(plan, launcher, Choice(failed=True, finished=rerun), view)
     except KeyboardInterrupt:
-        console.print("stopped; the same command goes on from there.", soft_wrap=True)
+        console.print("stopped; the same command resumes from there.", soft_wrap=True)
         return 130
     folders = [planned.folder for planned in plan.runs if (planned.folder / CONFIG_FILE).is_file()]
     if folders:

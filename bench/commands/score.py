@@ -17,7 +17,7 @@ from bench.evaluation.trajectory import ALIGNMENTS
 from bench.evaluation.trajectory_pair import FORMATS, read_pair
 from bench.external.score import score_folder
 from bench.external.settings import AXES, CONVENTIONS, NUMBERS, STATES
-from bench.report.scoring_bar import scoring_bar
+from bench.report.progress import scoring_progress
 from bench.tables.collect import Column, Row, about_lost_frames, collect_row, static_camera_of
 from bench.tables.render import print_table
 
@@ -93,7 +93,7 @@ def _add_folder_options(group: Any) -> None:
 
 def _add_pair_options(group: Any) -> None:
     group.add_argument("--ground-truth", type=Path, metavar="FILE")
-    group.add_argument("--format", choices=FORMATS, help="of both files (default: by values a line)")
+    group.add_argument("--format", choices=FORMATS, help="of both files (default: by values per line)")
     group.add_argument("--alignment", choices=ALIGNMENTS, help="default: se3 (no scale); sim3 is for single cameras")
     group.add_argument("--frames", metavar="FIRST:END", help="KITTI: the ground truth's lines to use")
     group.add_argument("--times", type=Path, metavar="FILE", help="times of the KITTI file beside a TUM file")
@@ -136,7 +136,7 @@ def _score_folder(folder: Path, overrides: list[str], args: argparse.Namespace) 
     def tell(line: str) -> None:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
-    with scoring_bar(console) as show:
+    with scoring_progress(console) as show:
         scored = score_folder(folder, overrides, options, tell, show)
     if args.json:
         print(json.dumps(scored.metrics, indent=2, allow_nan=False))

@@ -42,7 +42,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--depth", type=int, help="levels of the tree (default: 4 for npz, 6 for dbow2)")
     parser.add_argument("--frames", type=int, default=DEFAULT_FRAMES, help=f"frames used (default {DEFAULT_FRAMES})")
     parser.add_argument(
-        "--features", type=int, default=DEFAULT_FEATURES, help=f"ORB features a frame (default {DEFAULT_FEATURES})"
+        "--features", type=int, default=DEFAULT_FEATURES, help=f"ORB features per frame (default {DEFAULT_FEATURES})"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the clustering (default 0)")
     parser.set_defaults(run=run)

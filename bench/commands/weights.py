@@ -25,7 +25,7 @@ def add_parser(subparsers: Any) -> None:
     listing = actions.add_parser("list", help="every file: here or not, size, licence, source, SHA-256")
     listing.add_argument("--verify", action="store_true", help="compare the files that are here with their SHA-256")
     listing.set_defaults(run=_list)
-    getting = actions.add_parser("get", help="download into the cache folder; goes on where a download was cut")
+    getting = actions.add_parser("get", help="download into the cache folder; resumes where a download was cut")
     getting.add_argument("names", nargs="+", metavar="NAME")
     getting.set_defaults(run=_get)
     path = actions.add_parser("path", help="print where the file lies")

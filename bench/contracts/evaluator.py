@@ -10,7 +10,7 @@ from bench.contracts.saved_run import SavedRun, SavedView
 
 
 class Evaluator(ABC):
-    """Scores a saved run folder. It never sees a live mapper, so a foreign system's output is scored by the same
+    """Scores a saved run folder. It never sees a live mapper, so an external system's output is scored by the same
     code, and it never sees what another evaluator found: they run in any order."""
 
     metrics: tuple[Metric, ...] = ()

@@ -24,12 +24,12 @@ class Keyframer(ABC):
         """Called for every tracked frame that mapping may use, in order; never for lost or held-out frames."""
 
     def state(self) -> dict[str, Any] | None:
-        """All that deciding goes on from, for a checkpoint, as ``Tracker.state``; None (the default) = it has none.
+        """All that deciding resumes from, for a checkpoint, as ``Tracker.state``; None (the default) = it has none.
 
         Needed from tracker and keyframer alike where one of them ``uses_map``.
         """
         return None
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what ``state`` gave; called after ``use_map``."""
-        raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to go on from it")
+        """Resume from what ``state`` gave; called after ``use_map``."""
+        raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to resume from it")

@@ -57,7 +57,7 @@ class Mapper(ABC):
         yield None
 
     def state(self) -> dict[str, Any] | None:
-        """All that learning goes on from, for a checkpoint: CPU tensors, numbers, text, and lists and dicts of them.
+        """All that learning resumes from, for a checkpoint: CPU tensors, numbers, text, and lists and dicts of them.
 
         Asked for between keyframes and between ``final_steps``. None (the default): runs with this mapper have no
         checkpoints, and begin anew after a kill. The keyframes' images and depth need not be in it.
@@ -65,12 +65,12 @@ class Mapper(ABC):
         return None
 
     def restore(self, state: dict[str, Any], keyframes: Iterable[Keyframe]) -> None:
-        """Go on from what ``state`` gave: what follows must be the same to the bit as without the break.
+        """Resume from what ``state`` gave: what follows must be the same to the bit as without the break.
 
         Called after ``start``. ``keyframes`` are those that ``add_keyframe`` was given until then, in order, each with
         the pose that it had when it came; they are made anew one by one as they are asked for.
         """
-        raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to go on from it")
+        raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to resume from it")
 
     @abstractmethod
     def render(self, view: PinholeView, depth: Map | None = None) -> RenderedView:

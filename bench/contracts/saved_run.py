@@ -27,8 +27,8 @@ VIEW_OF_GROUP: dict[Group, View] = {"left": "left", "train": "left", "heldout": 
 class LpipsMetric:
     """The LPIPS metric that a run's protocol asks for, or why there is none.
 
-    ``distance(renders, images)`` gives one number a pair of uint8 images (H, W, 3). ``about`` is what ``metrics.json``
-    should say: checksum of the weights under ``protocol``, or the reason under ``notes``.
+    ``distance(renders, images)`` gives one number per pair of uint8 images (H, W, 3). ``about`` is what
+    ``metrics.json`` should say: checksum of the weights under ``protocol``, or the reason under ``notes``.
     """
 
     distance: Callable[[Sequence[Image], Sequence[Image]], list[float]] | None

@@ -44,7 +44,7 @@ class Tracker(ABC):
         """
 
     def state(self) -> dict[str, Any] | None:
-        """All that tracking goes on from, for a checkpoint: CPU tensors, numbers, text, and lists and dicts of them.
+        """All that tracking resumes from, for a checkpoint: CPU tensors, numbers, text, and lists and dicts of them.
 
         Needed by those that ``uses_map``, whose frames can't be tracked again without the map of then; the frames of
         others are tracked again. None (the default): runs with such a tracker begin anew after a kill.
@@ -52,5 +52,5 @@ class Tracker(ABC):
         return None
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what ``state`` gave, to the same bits; called after ``start`` and ``use_map``."""
-        raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to go on from it")
+        """Resume from what ``state`` gave, to the same bits; called after ``start`` and ``use_map``."""
+        raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to resume from it")

@@ -29,7 +29,7 @@ SHORT = Segments((10.0, 20.0, 30.0, 40.0, 50.0), 1)
 
 @dataclass(frozen=True)
 class SegmentErrors:
-    """Errors of P segments: translation as a fraction of the length, rotation in radians a metre.
+    """Errors of P segments: translation as a fraction of the length, rotation in radians per metre.
 
     ``first`` and ``last`` are frame numbers, ``length_m`` the nominal lengths. ``pairs_lost`` counts the segments that
     the ground truth has and the estimate has not, because its first or last frame was lost.

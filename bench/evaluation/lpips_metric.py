@@ -47,7 +47,7 @@ class Lpips:
 
     @torch.inference_mode()
     def __call__(self, images: Sequence[Image], references: Sequence[Image]) -> list[float]:
-        """One distance a pair; images are uint8 (H, W, 3), all of one size, at least 31 pixels a side.
+        """One distance per pair; images are uint8 (H, W, 3), all of one size, at least 31 pixels per side.
 
         On a CPU pairs one by one are fastest, so a batch is for GPUs. Raises ``BenchError`` for too small images.
         """

@@ -20,7 +20,7 @@ from bench.plugin_config import plugin_config_from
 from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE, map_size
 from bench.runs.provenance import describe_weights
 from bench.runs.status import read_json
-from bench.runs.system_name import foreign_name
+from bench.runs.system_name import external_name
 
 
 def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[str, Any]:
@@ -108,7 +108,7 @@ def _learned_from_right(run: SavedRunFolder) -> bool | None:
 
     None where nobody here knows: right views of another system.
     """
-    if foreign_name(run.config) is not None and run.rendered("right"):
+    if external_name(run.config) is not None and run.rendered("right"):
         return None
     return "right_mapped" in run.frames and bool(run.frames["right_mapped"].any())
 

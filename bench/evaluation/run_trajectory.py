@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bench.contracts.saved_run import SavedRun
 from bench.runs.folder import TRAJECTORY_FILE
-from bench.runs.system_name import foreign_name
+from bench.runs.system_name import external_name
 from bench.types import Trajectory
 
 
@@ -12,7 +12,7 @@ def estimate_and_truth(run: SavedRun) -> tuple[Trajectory, Trajectory] | str:
     """The run's estimate and its ground truth, as they were saved, or the reason why one is missing."""
     if run.status.state != "done" and not (run.path / TRAJECTORY_FILE).is_file():
         return "the run stopped before it saved its trajectory"
-    if foreign_name(run.config) is not None and not (run.path / TRAJECTORY_FILE).is_file():
+    if external_name(run.config) is not None and not (run.path / TRAJECTORY_FILE).is_file():
         return "the system's output has no trajectory"
     if run.ground_truth is None:
         return "the data set gives no ground-truth poses"

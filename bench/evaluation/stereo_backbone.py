@@ -54,7 +54,7 @@ class BackboneScore:
 
     @property
     def median_ms(self) -> float:
-        """Milliseconds a frame: the median over the images."""
+        """Milliseconds per frame: the median over the images."""
         return statistics.median(image.ms for image in self.images)
 
     def image_mean(self, of: Callable[[DisparityScore], float | None]) -> float | None:

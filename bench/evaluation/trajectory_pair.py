@@ -50,7 +50,7 @@ def read_pair(
     Two KITTI files are matched line by line and need equally many lines, unless ``frames`` ("first:end[:step]") names
     the lines of the ground truth, counted from 0, that the estimate's lines are. Otherwise the nearest in time belong
     together, at most ``max_time_difference_s`` apart; a KITTI file beside a TUM file gets its times from
-    ``times_path``, one a line. ``form`` is "kitti", "tum" or "auto" (by the number of values a line, for each file).
+    ``times_path``, one per line. ``form`` is "kitti", "tum" or "auto" (by the values per line, for each file).
     Raises ``BenchError``, with file and line where it can, for what can't be read or matched.
     """
     formats = [detect_format(path) if form == "auto" else form for path in (estimate_path, truth_path)]
@@ -82,7 +82,7 @@ def detect_format(path: Path) -> str:
     except (OSError, UnicodeDecodeError) as error:
         raise BenchError(f"Can't read the trajectory file {path}: {error}. It must be a text file.") from None
     if count == 0:
-        raise BenchError(f"{path} holds no pose. Expected one a line: 12 numbers (KITTI) or 8 (TUM).")
+        raise BenchError(f"{path} holds no pose. Expected one per line: 12 numbers (KITTI) or 8 (TUM).")
     if count not in _FORMAT_OF_COLUMNS:
         raise BenchError(
             f"{path} has {count} values in its first line; KITTI has 12 and TUM 8, separated by blanks. Convert it."

@@ -97,7 +97,7 @@ def _mode_that_fits(found: Numbers, frames: Numbers, by_frame: Numbers, by_posit
 def places_of_lines(count: int, frames: Sequence[int], mode: str, what: str) -> Places:
     """Where poses without numbers belong, ``count`` of them in order.
 
-    As many as there are frames: one a frame. More, in a data set that is part of a sequence: line k is frame number k.
+    As many as there are frames: one per frame. More, in part of a sequence: line k is frame number k.
     ``mode`` "frame" says that the latter is so, "position" that they are of the first frames. ``BenchError`` otherwise.
     """
     if mode == "auto" and count == len(frames):

@@ -29,7 +29,7 @@ from bench.types import Float, Trajectory
 
 
 @dataclass(frozen=True)
-class ForeignOutput:
+class ExternalOutput:
     """What was found; files by the position of their frame in the data set.
 
     ``times`` (N,) are the frames' in seconds, ``mapped`` the positions that the system says it mapped. ``about`` says
@@ -48,13 +48,13 @@ class ForeignOutput:
     about: tuple[str, ...] = ()
 
 
-def read_output(folder: Path, settings: ScoreSettings, dataset: Dataset) -> ForeignOutput:
+def read_output(folder: Path, settings: ScoreSettings, dataset: Dataset) -> ExternalOutput:
     """Find and check what ``folder`` holds of a system's run on ``dataset``.
 
     Raises ``BenchError`` for a folder with nothing to score (unless the run is said to have failed), a run folder of
     the bench's own, and everything in it that can't be scored.
     """
-    _require_foreign(folder)
+    _require_external(folder)
     contents = search(folder, settings)
     times = frame_times(dataset)
     reader = _Reader(folder, settings, dataset, times)
@@ -69,7 +69,7 @@ def read_output(folder: Path, settings: ScoreSettings, dataset: Dataset) -> Fore
             "--trajectory, --renders (. for the folder itself), --depth or in a score.yaml; say --status if the "
             "system's run failed."
         )
-    return ForeignOutput(
+    return ExternalOutput(
         times=times,
         trajectory=reader.trajectory,
         left=left,
@@ -91,7 +91,7 @@ def frame_times(dataset: Dataset) -> Float:
     return np.array([dataset.frame(position).timestamp for position in range(len(dataset))])
 
 
-def _require_foreign(folder: Path) -> None:
+def _require_external(folder: Path) -> None:
     if not folder.is_dir():
         raise BenchError(f"There is no folder {folder}. Give the one with the system's output.")
     if (folder / CONFIG_FILE).is_file() and read_config(folder) is not None:

@@ -54,7 +54,7 @@ class WrittenPoses:
 def read_written_poses(path: Path) -> WrittenPoses:
     """Read a trajectory file by its extension and content.
 
-    Text is KITTI's (12 numbers a line) or TUM's (8). ``.npy`` and ``.npz`` hold (N, 4, 4) or (N, 3, 4), or are
+    Text is KITTI's (12 numbers per line) or TUM's (8). ``.npy`` and ``.npz`` hold (N, 4, 4) or (N, 3, 4), or are
     SplaTAM's ``params.npz``; ``.json`` is MonoGS's ``trj_final.json``; ``.ckpt`` LoopSplat's ``estimated_c2w.ckpt``,
     ``.tar`` a checkpoint of Point-SLAM. Nothing in a file is ever run: pickled objects are refused. Raises
     ``BenchError`` with the file and the line or pose for what can't be read, for poses that are not finite, and for

@@ -15,7 +15,7 @@ import numpy as np
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.evaluation.frame_states import stretches
-from bench.external.output import ForeignOutput
+from bench.external.output import ExternalOutput
 from bench.external.pictures import read_depth
 from bench.external.settings import RESOURCES, ScoreSettings
 from bench.io.atomic import write_image, write_text
@@ -62,7 +62,7 @@ def write_run(
     path: Path,
     config: dict[str, Any],
     config_hash: str,
-    output: ForeignOutput,
+    output: ExternalOutput,
     dataset: Dataset,
     settings: ScoreSettings,
     on_progress: Callable[[str, int, int], None],
@@ -116,7 +116,7 @@ def _staged(path: Path) -> Iterator[Path]:
         raise
 
 
-def _frames_done(output: ForeignOutput, dataset: Dataset, status: str) -> int:
+def _frames_done(output: ExternalOutput, dataset: Dataset, status: str) -> int:
     """All frames of a run that got to its end; else up to the last frame of which there is anything."""
     if status == "done":
         return len(dataset)
@@ -125,7 +125,9 @@ def _frames_done(output: ForeignOutput, dataset: Dataset, status: str) -> int:
     return max((-1, *posed, *output.left, *output.right, *output.depth)) + 1
 
 
-def _rows(output: ForeignOutput, dataset: Dataset, settings: ScoreSettings, protocol: Protocol) -> list[dict[str, Any]]:
+def _rows(
+    output: ExternalOutput, dataset: Dataset, settings: ScoreSettings, protocol: Protocol
+) -> list[dict[str, Any]]:
     """The rows of ``frames.csv``; ``left_color``, ``right_color`` and ``left_depth`` say which pictures there are."""
     posed = None if output.trajectory is None else set(output.trajectory.numbers.tolist())
     return [
@@ -144,7 +146,7 @@ def _rows(output: ForeignOutput, dataset: Dataset, settings: ScoreSettings, prot
 
 
 def _write_views(
-    path: Path, output: ForeignOutput, dataset: Dataset, on_progress: Callable[[str, int, int], None]
+    path: Path, output: ExternalOutput, dataset: Dataset, on_progress: Callable[[str, int, int], None]
 ) -> None:
     size = (dataset.camera.width, dataset.camera.height)
 

@@ -35,7 +35,7 @@ class ScoreSettings:
     trajectory count: "frame" numbers of the data set, "position" 0, 1, 2 ... in the part that is scored, or "auto".
     ``convention`` and ``axes`` of poses: "auto" = those of the file's format, else camera to world and OpenCV's.
     ``held_out``: the system honoured the protocol's held-out frames. ``status`` and ``reason``: how its run ended.
-    ``resources``: what is known of memory (GB), seconds a frame and the number of Gaussians, by ``RESOURCES``.
+    ``resources``: what is known of memory (GB), seconds per frame and the number of Gaussians, by ``RESOURCES``.
     """
 
     name: str = ""
@@ -115,5 +115,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     if content is None:
         return {}
     if not isinstance(content, dict):
-        raise BenchError(f"{path} should hold settings, one a line as name: value; it holds {type(content).__name__}.")
+        raise BenchError(
+            f"{path} should hold settings, one per line as name: value; it holds {type(content).__name__}."
+        )
     return content

@@ -246,7 +246,7 @@ def read_image_times(path: Path, ids: Sequence[int], there: Sequence[int]) -> Fl
     else:
         raise BenchError(
             f"{path} has {len(lines)} lines, but the images go from {first} to {last}: expected {last + 1} lines or "
-            "more. Restore the file, or move it away to take 10 images a second for granted."
+            "more. Restore the file, or move it away to take 10 images per second for granted."
         )
     needed = np.concatenate([[0], rows])
     times = np.array([_time(lines[row], path, row + 1) for row in needed])

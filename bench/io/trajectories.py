@@ -1,6 +1,6 @@
 """Read and write trajectories in KITTI's and TUM's text formats.
 
-KITTI: one pose a line, the twelve numbers of the upper 3x4 of T_world_cam, row by row. TUM: one pose a line,
+KITTI: one pose per line, the twelve numbers of the upper 3x4 of T_world_cam, row by row. TUM: one pose per line,
 ``timestamp tx ty tz qx qy qz qw``; empty lines and lines that start with ``#`` are skipped.
 """
 
@@ -107,5 +107,5 @@ def _read_table(path: Path, columns: int, expected: str, skip_comments: bool) ->
         rows.append(row)
         lines.append(line)
     if not rows:
-        raise BenchError(f"{path} holds no pose. Expected one a line: {expected}.")
+        raise BenchError(f"{path} holds no pose. Expected one per line: {expected}.")
     return np.array(rows), lines

@@ -1,4 +1,4 @@
-"""The peer's side: what a foreign system has to offer, and the loop that answers the bench with it.
+"""The peer's side: what an external system has to offer, and the loop that answers the bench with it.
 
 A peer program is a few lines::
 
@@ -53,7 +53,7 @@ class PeerPose:
 
 
 class Peer(ABC):
-    """A foreign tracker. What it raises is told to the bench and ends the process."""
+    """An external tracker. What it raises is told to the bench and ends the process."""
 
     @abstractmethod
     def start(self, settings: dict[str, Any]) -> None:
@@ -90,7 +90,7 @@ def serve_messages(answer_to: Callable[[Message], Message]) -> None:
         for piece in encode(answer):
             _write(answers, piece)
     sys.stderr.flush()
-    # Not sys.exit: destructors of a foreign library may hang or crash.
+    # Not sys.exit: destructors of an external library may hang or crash.
     os._exit(code)
 
 

@@ -1,4 +1,4 @@
-"""Checkpoints of a run under way: what mapping has learned so far, so that a killed run goes on from there.
+"""Checkpoints of a run under way: what mapping has learned so far, so that a killed run is resumed from there.
 
 Only the map and what was measured are kept. Tracking, stereo and sky are repeated up to the frame of the checkpoint,
 which takes a small part of mapping's time, works for every plugin that gives the same answer twice, and needs no disk.

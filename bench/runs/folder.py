@@ -118,7 +118,7 @@ class RunFolder:
         self.already_done = already_done
         self._started = ""
         self._told = -math.inf
-        # The depth map is compressed beside the colour image: on two cores this nearly halves the time a view.
+        # The depth map is compressed beside the colour image: on two cores this nearly halves the time per view.
         self._second_writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="depth-png")
 
     @classmethod

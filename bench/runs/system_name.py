@@ -9,7 +9,7 @@ SECTION = "foreign"
 """The part of ``config.yaml`` that such a run has in place of stereo, tracker, mapper and the like."""
 
 
-def foreign_name(config: Mapping[str, Any]) -> str | None:
+def external_name(config: Mapping[str, Any]) -> str | None:
     """Name of the system whose output a run with this config is, or None for a run of the bench's own."""
     section = config.get(SECTION)
     name = section.get("name") if isinstance(section, Mapping) else None
@@ -19,7 +19,7 @@ def foreign_name(config: Mapping[str, Any]) -> str | None:
 def system_name(config: Mapping[str, Any]) -> str | None:
     """What tables call the system: the other system's name, or that of our system; None where the config has none."""
     system = config.get("system")
-    name = foreign_name(config) or (system.get("name") if isinstance(system, Mapping) else system)
+    name = external_name(config) or (system.get("name") if isinstance(system, Mapping) else system)
     return str(name) if name not in (None, "") else None
 
 

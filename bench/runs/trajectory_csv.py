@@ -15,7 +15,7 @@ _POSE_COLUMNS = [f"T_{row}{column}" for row in range(3) for column in range(4)]
 
 
 def as_csv(trajectory: Trajectory) -> str:
-    """One line a frame: number, timestamp in seconds, the 3x4 ``T_world_cam`` row by row; digits to restore float64."""
+    """One line per frame: number, timestamp in seconds, the 3x4 ``T_world_cam`` row by row; all digits of float64."""
     table = pd.DataFrame(trajectory.T_world_cam[:, :3].reshape(-1, 12), columns=_POSE_COLUMNS)
     table.insert(0, "timestamp", trajectory.timestamps)
     table.insert(0, "number", trajectory.numbers)

@@ -88,7 +88,7 @@ class TorchStereo(StereoNetwork):
         if tuple(output.shape[-2:]) != shape or output.numel() != shape[0] * shape[1]:
             raise BenchError(
                 f"{what} returned a tensor of shape {tuple(output.shape)}; expected (1, 1, {shape[0]}, {shape[1]}), "
-                "one disparity a pixel of the padded image."
+                "one disparity per pixel of the padded image."
             )
         values: Map = output.reshape(shape).float().cpu().numpy()
         return values

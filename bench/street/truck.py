@@ -15,7 +15,7 @@ _UNIT_LENGTH_M = 7.8
 _GAP_M = 0.7
 _HALF_WIDTH_M = 1.25
 _HEIGHT_M = 3.8
-# Metres a frame that it is faster than the camera: while it comes and goes, and while it is alongside.
+# Metres per frame that it is faster than the camera: while it comes and goes, and while it is alongside.
 _PASSING_M = 1.0
 _ALONGSIDE_M = 0.06
 # Where its rear end is, ahead of the camera, in the first frame that it covers about half of.

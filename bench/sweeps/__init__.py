@@ -1,1 +1,1 @@
-"""Sweeps: the runs that a table wants, each in a process of its own, made once and gone on with after a kill."""
+"""Sweeps: the runs that a table wants, each in a process of its own, made once and resumed after a kill."""

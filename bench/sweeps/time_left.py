@@ -9,7 +9,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class RunProgress:
-    """A run's part in the estimate. Runs of one ``kind`` (a row of a table) take the same time a frame.
+    """A run's part in the estimate. Runs of one ``kind`` (a row of a table) take the same time per frame.
 
     ``state``: "waiting", "running", "finished" (``seconds`` is what it took), or "gone" (failed, stopped: no part of
     it). A running one has been at it for ``seconds``; ``frames`` is 0 while nobody knows how many it has.
@@ -23,7 +23,7 @@ class RunProgress:
 
 
 def seconds_left(runs: Sequence[RunProgress], at_once: int) -> float | None:
-    """By the seconds a frame of the finished runs of each kind, else of the running ones, else of all; None before any.
+    """By the seconds per frame of the finished runs of each kind, else of the running, else of all; None before any.
 
     No less than the longest run alone, and than all of them spread over ``at_once`` places.
     """
@@ -44,7 +44,7 @@ def seconds_left(runs: Sequence[RunProgress], at_once: int) -> float | None:
 
 
 def _paces(runs: Sequence[RunProgress]) -> dict[str, float]:
-    """Seconds a frame of each kind of which something is known."""
+    """Seconds per frame of each kind of which something is known."""
     finished: dict[str, list[float]] = {}
     running: dict[str, list[float]] = {}
     for run in runs:

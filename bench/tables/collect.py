@@ -1,4 +1,4 @@
-"""One table row a run folder, from what is there; a half-written or damaged folder gives a row that says so."""
+"""One table row per run folder, from what is there; a half-written or damaged folder gives a row that says so."""
 
 from __future__ import annotations
 

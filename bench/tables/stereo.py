@@ -59,7 +59,7 @@ class Scored:
 
 
 def stereo_rows(scored: Sequence[Scored], runs: Sequence[Path] = ()) -> list[Row]:
-    """One row a backbone, with the means over the runs that used it; then one a backbone that only runs know.
+    """One row per backbone, with the means over the runs that used it; then one per backbone that only runs know.
 
     A run belongs to the rows with exactly its stereo settings, else to those with the same plugin, if all of these have
     the same settings.
@@ -81,7 +81,7 @@ def stereo_rows(scored: Sequence[Scored], runs: Sequence[Path] = ()) -> list[Row
 
 
 def image_table(scored: Sequence[Scored]) -> list[dict[str, Any]]:
-    """One row an image and backbone, with the keys ``IMAGE_COLUMNS``; broken backbones have none."""
+    """One row per image and backbone, with the keys ``IMAGE_COLUMNS``; broken backbones have none."""
     rows = []
     for one in scored:
         for image in one.outcome.images if isinstance(one.outcome, BackboneScore) else ():

@@ -80,7 +80,7 @@ class Points:
 
 
 class LocalMap:
-    """Keyframes and points of the recent past; older ones are forgotten, so size and time a frame stay bounded.
+    """Keyframes and points of the recent past; older ones are forgotten, so size and time per frame stay bounded.
 
     Poses of forgotten keyframes stay in ``poses`` (T_world_cam by keyframe index), because frames hang on them.
     """

@@ -1,4 +1,4 @@
-"""Download of a file over HTTP that goes on where it was cut, and puts the file in place only when it is right."""
+"""Download of a file over HTTP that resumes where it was cut, and puts the file in place only when it is right."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def download(
     """Fetch ``url`` to ``target``, whole and verified, or not at all; what came of it stays beside for the next try.
 
     ``sha256`` holds the digits, or the leading ones, that are known. A connection that is cut is made again up to
-    ``tries`` times without a new byte, ``pause_s`` times their number apart, and goes on by an HTTP range. Two
+    ``tries`` times without a new byte, ``pause_s`` times their number apart, and resumes by an HTTP range. Two
     processes do not fetch the same file at once. Raises ``BenchError``: no connection, refused, no space, another file.
     """
     try:

@@ -116,7 +116,7 @@ def _images(side: str, folder: str) -> list[Path]:
 
 
 def _read_either(path: Path) -> tuple[Float, Float | None]:
-    """Poses of a KITTI (12 numbers a line) or TUM (8 numbers a line) file, with the times of the latter."""
+    """Poses of a KITTI (12 numbers per line) or TUM (8 numbers per line) file, with the times of the latter."""
     try:
         with path.open(encoding="utf-8") as file:
             first = next((line for line in file if line.strip() and not line.startswith("#")), "")

@@ -30,7 +30,7 @@ class CovisibilityConfig(PluginConfig):
 
     iou_threshold: float = 0.7
     """A frame whose covisibility IoU with the last keyframe is below this becomes a keyframe. On KITTI 06 the IoU of
-    successive frames is 0.2 to 0.35 at 1.2 m a frame, and above 0.8 for a standing car, whatever gives the features."""
+    successive frames is 0.2 to 0.35 at 1.2 m per frame, above 0.8 for a standing car, whatever gives the features."""
     motion_factor: float = 1.5
     """A frame that moved more than this factor times the motion before becomes a keyframe."""
     min_translation_m: float = 0.05

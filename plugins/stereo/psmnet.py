@@ -15,7 +15,7 @@ from bench.stereo.torch_network import TorchStereo
 
 @register("stereo", "psmnet", config=NetworkConfig)
 class PsmNetStereo(TorchStereo):
-    """PSMNet with stacked hourglasses, KITTI 2015 weights: accurate; seconds a frame on a CPU, see stereo.scale."""
+    """PSMNet with stacked hourglasses, KITTI 2015 weights: accurate; seconds per frame on a CPU, see stereo.scale."""
 
     pad_multiple = 32
 

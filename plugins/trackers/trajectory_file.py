@@ -135,7 +135,7 @@ class TrajectoryFile(Tracker):
             return {number: poses[number] for number in dataset.numbers}
         raise BenchError(
             f"{self._path} has {len(poses)} poses, but {dataset.label} has {len(dataset)} frames numbered up to "
-            f"{dataset.numbers[-1]}. It needs one line a frame, or one for every number from 0."
+            f"{dataset.numbers[-1]}. It needs one line per frame, or one for every number from 0."
         )
 
     def _check_times(self, first: float, last: float) -> None:

@@ -16,7 +16,7 @@ from bench.types import DepthMap, Image, Mask, StereoCamera, StereoFrame
 
 @dataclass(frozen=True)
 class CountingConfig(PluginConfig):
-    """``log``: a file that gets a line a call; ``delay_s``: how long computing takes; ``far``: depth of the top row."""
+    """``log``: gets a line per call; ``delay_s``: how long computing takes; ``far``: depth of the top row."""
 
     weights: str = field(default="", metadata={"path": True})
     log: str = ""

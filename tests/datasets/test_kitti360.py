@@ -137,7 +137,7 @@ def scan_of_a_moving_car(
 
 
 def test_scan_is_taken_to_the_moment_of_the_image(tmp_path: Path) -> None:
-    """The car drives 1 m a frame and turns 2 degrees; an image's pixels then are those of where the points are."""
+    """The car drives 1 m per frame and turns 2 degrees; an image's pixels then are those of where the points are."""
     write_calibration(tmp_path)
     write_images(tmp_path, "0002", [1, 2, 3, 4], noise(WIDTH, HEIGHT))
     write_poses(tmp_path, "0002", {n: vehicle_pose(100, 200 + n, 90 + 2.0 * n) for n in (1, 2, 4)})
@@ -215,7 +215,7 @@ def test_poses_between_others(tmp_path: Path) -> None:
     assert dataset.numbers == (1, 2, 3, 4, 5)
     T, given = truth_of(dataset), truth_of(open_kitti360(tmp_path))
     np.testing.assert_allclose(T[[0, 1, 4]], given, atol=1e-12)
-    # From frame 2 to frame 5 it turns 60 degrees about an axis that stays: 20 degrees a frame.
+    # From frame 2 to frame 5 it turns 60 degrees about an axis that stays: 20 degrees per frame.
     for before, after in ((1, 2), (2, 3), (3, 4)):
         turn = T[before, :3, :3].T @ T[after, :3, :3]
         assert np.rad2deg(np.arccos((np.trace(turn) - 1) / 2)) == pytest.approx(20.0, abs=1e-6)

@@ -132,7 +132,7 @@ def test_number_of_threads_changes_nothing(street: Street) -> None:
 
 @pytest.fixture(scope="module")
 def circuit() -> Street:
-    """One lap and a bit more at 3 m a frame: frame 80 + k is where frame k is, one lap later."""
+    """One lap and a bit more at 3 m per frame: frame 80 + k is where frame k is, one lap later."""
     return Street(StreetConfig(frames=110, width=480, height=144, speed_m=3.0, circuit_m=240))
 
 

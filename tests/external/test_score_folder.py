@@ -126,7 +126,7 @@ def test_another_convention_is_hinted_at_and_can_be_said(
 
 
 def test_frame_numbers_and_positions(tmp_path: Path, output: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Frames 10, 12 ... 24 of a sequence; renders by position, the trajectory one line a frame of the whole of it."""
+    """Frames 10, 12 ... 24 of a sequence; renders by position, the trajectory one line per frame of the whole of it."""
     settings = ("dataset.first=10", "dataset.step=2")
     folder = tmp_path / "theirs"
     write_renders(folder / "renders", range(10, 26, 2))

@@ -15,7 +15,7 @@ T_CAM_BODY = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
 
 
 def loop(count: int = 80, turn: float = 2 * np.pi) -> np.ndarray:
-    """A car that turns by ``turn`` in all, 1 m a frame, written down without se3: x = right, z = forward."""
+    """A car that turns by ``turn`` in all, 1 m per frame, written down without se3: x = right, z = forward."""
     T = np.tile(np.eye(4), (count, 1, 1))
     heading = np.linspace(0, turn, count)
     T[:, 0, 0] = T[:, 2, 2] = np.cos(heading)

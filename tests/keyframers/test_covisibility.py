@@ -105,7 +105,7 @@ def test_window_drops_the_oldest_and_the_unrelated() -> None:
 
 
 def test_frames_without_landmarks_are_compared_by_their_orb_features(kitti_root: Path) -> None:
-    """KITTI 06 at 1.2 m a frame: each frame a keyframe, a picture shown twice none, and the window holds five."""
+    """KITTI 06 at 1.2 m per frame: each frame a keyframe, a picture shown twice none, and the window holds five."""
     rule = keyframer()
     decisions = []
     for number in (0, 0, 1, 2, 3, 4, 5, 5):

@@ -105,7 +105,7 @@ def test_a_failure_costs_one_frame_and_the_next_map_is_put_at_constant_velocity(
 ) -> None:
     tracker = FakeTracker(timeout_s=limit_s, events={"12": event})
     results = drive(tracker, 5)
-    # 1 m a frame: frame 12 would have been at 2 m, so the new map begins at 3 m.
+    # 1 m per frame: frame 12 would have been at 2 m, so the new map begins at 3 m.
     assert states(results) == "ok ok lost weak ok"
     assert z(results) == [0, 1, None, 3, 4]
     assert tracker.trajectory().numbers.tolist() == [10, 11, 13, 14]

@@ -85,6 +85,6 @@ def report_shares(name: str, seconds: dict[str, float], beside: dict[str, float]
     REPORT.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"seconds_per_frame": seconds | beside, "shares_of_a_frame": shares}, indent=2)
     (REPORT / f"{name}.json").write_text(text + "\n")
-    print(f"\n{name}: {whole:.3f} s a frame")
+    print(f"\n{name}: {whole:.3f} s per frame")
     for stage, share in sorted(shares.items(), key=lambda item: -item[1]):
         print(f"  {stage:45s} {100 * share:6.1f} %" + ("  (after the run)" if stage in beside else ""))

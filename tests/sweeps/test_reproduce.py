@@ -148,7 +148,7 @@ def test_ctrl_c_ends_the_runs_politely(make_bench: MakeBench, sent: signal.Signa
     assert sweep.returncode == 130
     assert not is_running(pid)
     assert f"interrupted: {FULL}0 (stopped by the user)" in said
-    assert said.endswith("stopped; 6 finished, 1 interrupted. The same command goes on from there.\n")
+    assert said.endswith("stopped; 6 finished, 1 interrupted. The same command resumes from there.\n")
     bench.started()
     bench.behave()
     assert bench.reproduce("--seeds", "0") == 0

@@ -25,8 +25,8 @@ def planned(row: str, seed: int = 0, frames: int = 4, root: Path = Path("runs"))
 
 
 def test_time_left_by_the_frames_and_the_times_of_each_kind() -> None:
-    """ "slow" takes 6 s a frame (60 s for 10), "fast" 1 s: of the first 4 frames of 10 are left, 24 s, of the second a
-    whole run of 20. A kind of which nothing is known takes their mean, 3.5 s a frame: 10 frames, 35 s."""
+    """ "slow" takes 6 s per frame (60 for 10), "fast" 1 s: of the first 4 frames of 10 are left, 24 s, of the second a
+    whole run of 20. A kind of which nothing is known takes their mean, 3.5 s per frame: 10 frames, 35 s."""
     runs = [
         RunProgress("slow", "finished", 10, 10, 60.0),
         RunProgress("fast", "finished", 20, 20, 20.0),
@@ -42,13 +42,13 @@ def test_time_left_by_the_frames_and_the_times_of_each_kind() -> None:
 
 
 def test_a_first_run_is_judged_by_its_own_pace() -> None:
-    """5 frames in 10 s: 2 s a frame; 15 are left, and a run of 20 waits."""
+    """5 frames in 10 s: 2 s per frame; 15 are left, and a run of 20 waits."""
     runs = [RunProgress("one", "running", 20, 5, 10.0), RunProgress("one", "waiting", 20)]
     assert seconds_left(runs, 1) == pytest.approx(15 * 2 + 20 * 2)
 
 
 def test_time_left_of_a_view(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs of 10 and 30 s for 4 frames: 5 s a frame in the mean. One has run for 5 s, one for 50 s, both without a
+    """Runs of 10 and 30 s for 4 frames: 5 s per frame in the mean. One has run for 5 s, one for 50 s, both without a
     word; one failed, three wait: (15 + 0 + 3 * 20) / 2 = 37.5 s."""
     now = 100.0
     monkeypatch.setattr(view.time, "monotonic", lambda: now)

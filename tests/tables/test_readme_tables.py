@@ -127,7 +127,7 @@ def test_measured_rows_find_their_runs(kept: Path) -> None:
     assert (by_heading["stages"], by_heading["wall"]) == ("1.38 ± 0.00", "2.00 ± 0.00")
     assert second[:2] == ["`system=bgs_slam stereo=lidar`", "16.00 / 0.800 / 0.125"]
     assert second[head.index("ATE")] == "0.250 m"
-    # The paper's table: 23.57 dB, 0.87, 0.15, 226.89 cm, 0.90 m, 16.77 GB on sequence 06, 0.24 and 1.37 s a frame.
+    # The paper's table: 23.57 dB, 0.87, 0.15, 226.89 cm, 0.90 m, 16.77 GB on sequence 06, 0.24 and 1.37 s per frame.
     assert paper[0] == [
         *("*paper, BGS-SLAM, sequence 06*", "*23.57 / 0.87 / 0.15 (all views)*", "", "", "*227*", "*0.90 m*", ""),
         *("*16.77 GB*", "*0.24 + 1.37*", ""),

@@ -70,7 +70,7 @@ def texture(height: int, width: int, seed: int = 0, blur: float = 1.5) -> np.nda
 
 @pytest.fixture(scope="session")
 def wall(small_camera: StereoCamera) -> MemoryDataset:
-    """A textured wall 10 m away; the pair slides along it by 0.25 m a frame: 10 whole pixels, disparity 20."""
+    """A textured wall 10 m away; the pair slides along it by 0.25 m per frame: 10 whole pixels, disparity 20."""
     picture = texture(240, 1000)
     pairs, poses = [], np.tile(np.eye(4), (12, 1, 1))
     for i in range(12):

@@ -176,7 +176,7 @@ def test_it_survives_its_own_death(cache: Path, street: Kept, caplog: pytest.Log
     assert states(results) == ["ok"] * 4 + ["lost", "weak"] + ["ok"] * 4
     truth = street.ground_truth()
     assert truth is not None
-    # The street's car does 1 m a frame, so constant velocity puts the second map well.
+    # The street's car does 1 m per frame, so constant velocity puts the second map well.
     assert errors_m(slam.trajectory(), truth).max() < 0.4
     assert "frame 4: orbslam3 was killed by SIGKILL" in caplog.text
 

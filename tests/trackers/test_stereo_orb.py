@@ -84,7 +84,7 @@ def test_real_street_is_tracked_to_centimetres(kitti_run: Any, kitti_grey: Any) 
 
 
 def test_motion_from_frame_to_frame_agrees_with_orbslam2(kitti_run: Any, test_data: Any) -> None:
-    """Real ORB-SLAM2 runs differ from each other by 6 to 18 mm and 0.02 to 0.045 degrees a frame on this stretch."""
+    """Real ORB-SLAM2 runs differ from each other by 6 to 18 mm and 0.02 to 0.045 degrees per frame on this stretch."""
     ours = kitti_run[1].T_world_cam
     table = np.loadtxt(test_data / "trajectories" / "orbslam2_stereo" / "06_trial4.txt")[:51].reshape(-1, 3, 4)
     theirs = np.tile(np.eye(4), (51, 1, 1))

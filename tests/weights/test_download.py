@@ -39,7 +39,7 @@ def test_a_cut_download_goes_on_where_it_was(server: CuttingServer, tmp_path: Pa
 def test_the_next_command_goes_on_too(server: CuttingServer, tmp_path: Path) -> None:
     target = tmp_path / "net.pth"
     server.cuts = [70_000]
-    with pytest.raises(BenchError, match=r"stopped after 70000 bytes .*Give the command again: it goes on from there"):
+    with pytest.raises(BenchError, match=r"stopped after 70000 bytes .*Give the command again: it resumes from there"):
         download(server.url, target, SHA256, tries=1)
     assert not target.exists()
     download(server.url, target, SHA256, tries=1)

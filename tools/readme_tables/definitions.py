@@ -97,7 +97,7 @@ _TRACKER_ROWS: tuple[tuple[str, tuple[str, ...], str, float], ...] = (
     ("t_rel over 10-50 m", ("trajectory.t_rel_short_percent",), "{:.3f} %", 1.0),
     ("ATE", ("trajectory.ate_rmse_m",), "{:.3f} m", 1.0),
     ("RPE, mean / RMSE", ("trajectory.rpe_trans_mean_m", "trajectory.rpe_trans_rmse_m"), "{:.1f} / {:.1f} mm", 1e3),
-    ("time a frame", ("resources.tracking_s_per_frame",), "{:.3f} s", 1.0),
+    ("time per frame", ("resources.tracking_s_per_frame",), "{:.3f} s", 1.0),
 )
 
 
@@ -147,11 +147,11 @@ _STEREO_COLUMNS = (
     ("EPE [px]", ("epe_px",), "{:.2f}"),
     ("D1 [%]", ("d1_percent",), "{:.1f}"),
     ("filled [%]", ("density_percent",), "{:.0f}"),
-    ("ms a pair", ("ms_per_frame",), "{:.0f}"),
+    ("ms per pair", ("ms_per_frame",), "{:.0f}"),
     ("PSNR all / held-out [dB]", ("psnr_db", "heldout_psnr_db"), "{:.2f} / {:.2f}"),
     ("LPIPS", ("lpips",), "{:.3f}"),
     ("Depth-L1 [cm]", ("depth_l1_cm",), "{:.0f}"),
-    ("s a frame", ("s_per_frame",), "{:.2f}"),
+    ("s per frame", ("s_per_frame",), "{:.2f}"),
 )
 _STEREO_NAMES = {"onnx": "onnx stereo.preset=nvtiny"}
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.contracts.metric import Metric
 from bench.tables.named.definitions import NamedTable
-from bench.tables.named.foreign import with_foreign_rows
+from bench.tables.named.external import with_external_rows
 from bench.tables.named.overrides import row_of
 from bench.tables.named.published import SequenceFacts
 from bench.tables.named.settings import (
@@ -151,7 +151,7 @@ def fill(table: NamedTable, records: Sequence[RunRecord], left_out: int = 0, pro
     ``protocol`` (a name; empty: any), then those under whose settings most frames of the table were scored.
     ``left_out`` counts runs that are known to belong to no cell and are not among the records.
     """
-    table = with_foreign_rows(table, [record.config for record in records])
+    table = with_external_rows(table, [record.config for record in records])
     facts = {sequence: table.facts_of(sequence) for sequence in table.sequences}
     found: dict[Place, list[_Found]] = defaultdict(list)
     for record in records:
@@ -264,20 +264,20 @@ def differences(filled: FilledTable) -> list[str]:
     for row in filled.table.rows:
         of_row = [cell.settings for (label, _), cell in filled.cells.items() if label == row.label]
         found.update(differing_keys(of_row))
-    everywhere = [cell.settings for cell in filled.cells.values() if not _is_foreign(cell)]
+    everywhere = [cell.settings for cell in filled.cells.values() if not _is_external(cell)]
     # Other systems share no more than the data and the protocol with ours.
     of_all = [_data_and_protocol(cell.settings) for cell in filled.cells.values()]
     found.update(differing_keys(of_all))
     found.update(key for key in differing_keys(everywhere) if key.split(".")[0] not in varied)
     texts = []
     for key in sorted(found):
-        cells = [cell for cell in filled.cells.values() if key in cell.settings or not _is_foreign(cell)]
+        cells = [cell for cell in filled.cells.values() if key in cell.settings or not _is_external(cell)]
         values = sorted({cell.settings.get(key, "not set") for cell in cells})
         texts.append(f"{key} ({first_few([value or 'empty' for value in values])})")
     return texts
 
 
-def _is_foreign(cell: FilledCell) -> bool:
+def _is_external(cell: FilledCell) -> bool:
     return "foreign.name" in cell.settings
 
 

@@ -37,7 +37,7 @@ def notes(
     found += _parts(filled)
     found += _protocols(filled)
     found += _settings(filled)
-    found += _foreign(filled)
+    found += _external(filled)
     if different := differences(filled):
         found.append(f"Settings that differ between cells that are compared: {', '.join(different)}.")
     shown = _shown_runs(filled)
@@ -114,7 +114,7 @@ def _settings(filled: FilledTable) -> list[str]:
     return [f"Settings of {', '.join(rows)}: {text}." for text, rows in users.items()]
 
 
-def _foreign(filled: FilledTable) -> list[str]:
+def _external(filled: FilledTable) -> list[str]:
     """Which rows are scores of what other systems wrote."""
     rows = dict.fromkeys(row for (row, _), cell in filled.cells.items() if "foreign.name" in cell.settings)
     return [f"Scored here from the systems' own output: {', '.join(rows)}."] if rows else []

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bench.runs.system_name import foreign_name
+from bench.runs.system_name import external_name
 from bench.tables.named.definitions import MethodRow, NamedTable
-from bench.tables.named.foreign import is_of_foreign
+from bench.tables.named.external import is_of_external
 
 
 def holds(config: Mapping[str, Any], override: str) -> bool:
@@ -45,9 +45,9 @@ def row_of(table: NamedTable, config: Mapping[str, Any]) -> tuple[str, str] | No
 
 def belongs(row: MethodRow, config: Mapping[str, Any]) -> bool:
     """Whether a run with this config is one of the row's method, on whatever sequence."""
-    name = foreign_name(config)
+    name = external_name(config)
     if name is not None:
-        return is_of_foreign(row, name)
+        return is_of_external(row, name)
     if row.overrides is None:
         return False
     return all(holds(config, override) for override in row.overrides) and not any(

@@ -12,7 +12,7 @@ from bench.evaluation.saved_run import ProgressReport
 
 
 @contextmanager
-def scoring_bar(console: Console) -> Iterator[ProgressReport]:
+def scoring_progress(console: Console) -> Iterator[ProgressReport]:
     """Give what evaluators call with what they score, how much is done and how much there is; gone after the block."""
     with Progress(console=console, transient=True, disable=not console.is_interactive) as bar:
         tasks: dict[str, TaskID] = {}

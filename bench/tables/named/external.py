@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from bench.runs.system_name import foreign_name, same_system
+from bench.runs.system_name import external_name, same_system
 from bench.tables.named.definitions import MethodRow, NamedTable
 
 
-def with_foreign_rows(table: NamedTable, configs: Iterable[Mapping[str, Any]]) -> NamedTable:
+def with_external_rows(table: NamedTable, configs: Iterable[Mapping[str, Any]]) -> NamedTable:
     """The table with a row below its own for each other system that has none, in alphabetical order.
 
     A system that the paper's table has (MonoGS) fills that row. Tables of variants of one system (the ablation) have no
@@ -19,15 +19,15 @@ def with_foreign_rows(table: NamedTable, configs: Iterable[Mapping[str, Any]]) -
     if table.across != "sequences":
         return table
     rows = list(table.rows)
-    names = {name for config in configs if (name := foreign_name(config)) is not None}
+    names = {name for config in configs if (name := external_name(config)) is not None}
     for name in sorted(names, key=str.lower):
-        if not any(is_of_foreign(row, name) for row in rows):
+        if not any(is_of_external(row, name) for row in rows):
             taken = any(same_system(name, row.label) for row in rows)
             rows.append(MethodRow(_apart(name) if taken else name))
     return replace(table, rows=tuple(rows))
 
 
-def is_of_foreign(row: MethodRow, name: str) -> bool:
+def is_of_external(row: MethodRow, name: str) -> bool:
     """Whether the scored output of the system ``name`` belongs to this row: never to one that runs of ours fill."""
     return row.overrides is None and (same_system(name, row.label) or row.label == _apart(name))
 
