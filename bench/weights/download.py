@@ -109,8 +109,8 @@ def _fetch_with_retries(
                 if not part.size:
                     raise BenchError(f"{url} can't be reached ({cut}). Check the network.") from cut
                 raise BenchError(
-                    f"The download of {url} stopped after {part.size} bytes ({cut}). Give the command again: it goes "
-                    "on from there."
+                    f"The download of {url} stopped after {part.size} bytes ({cut}). Give the command again: it "
+                    "resumes from there."
                 ) from cut
             time.sleep(pause_s * failures)
 
