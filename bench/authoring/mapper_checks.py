@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import pickle
 import tempfile
 import time
 from dataclasses import dataclass, replace
@@ -12,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from plyfile import PlyData
 
 from bench import registry
@@ -88,7 +85,7 @@ class Subject:
             mapper.update_poses(Trajectory(poses[:k], np.array(numbers[:k]), times[:k]))
             reports.append(mapper.add_keyframe(keyframe, numbers[:k]))
             if k == break_after:
-                state = _through_a_file(mapper.state())
+                state = probes.through_a_file(mapper.state())
                 mapper = self.started()
                 mapper.restore(state, iter(keyframes[:k]))
         seconds = (time.perf_counter() - begin) / len(keyframes)
@@ -250,22 +247,6 @@ def _saves(subject: Subject) -> str | Note:
             "save",
         )
     return f"PLY with {count} vertices"
-
-
-def _through_a_file(state: Any) -> Any:
-    """What a checkpoint makes of a mapper's state."""
-    file = io.BytesIO()
-    try:
-        torch.save(state, file)
-        return torch.load(io.BytesIO(file.getvalue()), weights_only=True)
-    except (pickle.UnpicklingError, pickle.PicklingError, AttributeError, TypeError) as error:
-        reason = str(error).strip().split("\n", 1)[0]
-        raise ContractBrokenError(
-            f"state() can't be kept: {reason}",
-            "tensors, numbers, text, and lists and dicts of them",
-            "torch.from_numpy(...) for arrays, float(...) for numpy's numbers",
-            "state",
-        ) from error
 
 
 def _resumes(subject: Subject) -> str | Note:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -137,3 +139,19 @@ def require_frames(dataset: Dataset, least: int) -> None:
     """Raise ``BenchError`` if the data set of the surroundings is too short for a check."""
     if len(dataset) < least:
         raise BenchError(f"The data set {dataset.label} has {len(dataset)} frames; this check needs {least}.")
+
+
+def through_a_file(state: Any) -> Any:
+    """What a checkpoint makes of a plugin's state."""
+    file = io.BytesIO()
+    try:
+        torch.save(state, file)
+        return torch.load(io.BytesIO(file.getvalue()), weights_only=True)
+    except (pickle.UnpicklingError, pickle.PicklingError, AttributeError, TypeError) as error:
+        reason = str(error).strip().split("\n", 1)[0]
+        raise ContractBrokenError(
+            f"state() can't be kept: {reason}",
+            "tensors, numbers, text, and lists and dicts of them",
+            "torch.from_numpy(...) for arrays, float(...) for numpy's numbers",
+            "state",
+        ) from error

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from bench import registry
 from bench.authoring import probes
 from bench.authoring.poses import require_pose, require_trajectory
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.evaluation.trajectory import absolute_trajectory_error
-from bench.types import StereoFrame, TrackingResult, Trajectory
+from bench.types import DepthMap, Keyframe, StereoFrame, TrackingResult, Trajectory
 
 FRAMES = 8
 _STATES = ("ok", "weak", "lost")
@@ -48,10 +49,35 @@ class Subject:
     def drive(self) -> Drive:
         return self.drive_again()
 
-    def drive_again(self) -> Drive:
-        """The frames through a fresh instance, every answer checked."""
-        tracker = self.candidate.build()
+    def started(self) -> tuple[Any, Any]:
+        """A fresh instance, and the mapper whose map it looks at; None where it does not."""
+        tracker, mapper = self.candidate.build(), None
+        if tracker.uses_map:
+            mapper = self.candidate.other("mapper")
+            losses = [registry.build(loss, "loss") for loss in self.candidate.run.several("loss")]
+            mapper.start(self.dataset.camera, losses, 0)
         tracker.start(self.dataset)
+        if mapper is not None:
+            tracker.use_map(mapper.view())
+        return tracker, mapper
+
+    def map(self, mapper: Any, frame: StereoFrame, tracker: Any) -> None:
+        """Let the map learn from a tracked frame, as in a run where every frame is a keyframe, with true depth."""
+        known = tracker.trajectory()
+        pose, position = known.pose_of(frame.number), self.dataset.numbers.index(frame.number)
+        depth = self.dataset.true_depth(position)
+        if mapper is None or pose is None or depth is None:
+            return
+        mapper.update_poses(known)
+        sky = self.dataset.true_sky(position)
+        mapper.add_keyframe(Keyframe(frame, DepthMap(depth, "truth"), sky, pose), known.numbers.tolist()[-5:])
+
+    def drive_again(self, break_after: int | None = None) -> Drive:
+        """The frames through a fresh instance, every answer checked.
+
+        With ``break_after`` another instance goes on after so many frames, from what a checkpoint would hold.
+        """
+        tracker, mapper = self.started()
         results, seconds, tracked = [], 0.0, []
         for frame in self.frames:
             start = time.perf_counter()
@@ -61,6 +87,14 @@ class Subject:
             results.append(result)
             tracked += [] if result.state == "lost" else [frame.number]
             require_trajectory(tracker.trajectory(), tracked, f"trajectory() after frame {frame.number}", "trajectory")
+            self.map(mapper, frame, tracker)
+            if len(results) == break_after:
+                state = probes.through_a_file(tracker.state())
+                tracker.finish()
+                tracker = self.candidate.build()
+                tracker.start(self.dataset)
+                tracker.use_map(mapper.view())
+                tracker.restore(state)
         tracker.finish()
         require_trajectory(tracker.trajectory(), tracked, "trajectory() after finish()", "finish")
         return Drive(results, tracker.trajectory(), seconds / len(self.frames) * 1e3)
@@ -118,8 +152,7 @@ def _times(subject: Subject) -> str:
 
 
 def _inputs(subject: Subject) -> str:
-    tracker = subject.candidate.build()
-    tracker.start(subject.dataset)
+    tracker, _ = subject.started()
     for frame in subject.frames[:2]:
         left, right = frame.left.copy(), None if frame.right is None else frame.right.copy()
         tracker.track(StereoFrame(frame.number, frame.timestamp, left, right))
@@ -134,6 +167,18 @@ def _repeats(subject: Subject) -> str:
     first, second = subject.drive.trajectory, again.trajectory
     probes.require_same(first.T_world_cam, second.T_world_cam, "a fresh instance in a background thread", "track")
     return "a fresh instance in a background thread: the same bits"
+
+
+def _resumes(subject: Subject) -> str | Note:
+    tracker, _ = subject.started()
+    if not tracker.uses_map:
+        return "it does not look at the map: its frames are tracked again after a kill"
+    if tracker.state() is None:
+        return Note("it looks at the map and gives no state(): runs with it have no checkpoints")
+    again = subject.drive_again(break_after=len(subject.frames) // 2)
+    first, second = subject.drive.trajectory, again.trajectory
+    probes.require_same(first.T_world_cam, second.T_world_cam, "with a break, and without", "restore")
+    return f"a fresh instance goes on from state() after {len(subject.frames) // 2} frames: the same bits"
 
 
 def _accuracy(subject: Subject) -> str | Note:
@@ -182,6 +227,7 @@ def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:
         Check("timestamps", _times),
         Check("inputs", _inputs),
         Check("determinism", _repeats),
+        Check("resumes", _resumes),
         Check("accuracy", _accuracy),
         Check("speed", _speed),
     )
