@@ -15,7 +15,7 @@ from bench.discovery import load_plugins
 from bench.errors import BenchError, did_you_mean, require_choice
 from bench.evaluation.metrics import declared_metrics
 from bench.installed_data import published_folder
-from bench.registry import KINDS
+from bench.registry import RUN_KINDS
 from bench.tables.named.definitions import MethodRow, NamedTable
 from bench.tables.named.published import SEQUENCES_FILE, SequenceFacts, read_sequences
 
@@ -26,7 +26,7 @@ _OF_A_TABLE = (
 _OF_A_ROW = ("label", "published", "compared_with", "overrides", "never")
 _OF_A_METRIC = ("key", "title", "decimals", "better")
 # What an override of a row may set: all that is not the table's own.
-_SETTINGS = (*KINDS, "system", "limits", "pipeline", "cache")
+_SETTINGS = (*RUN_KINDS, "system", "limits", "pipeline", "threads", "cache")
 
 
 def read_table(file: Path, folders: Sequence[str] = ()) -> NamedTable:
