@@ -1,10 +1,9 @@
-"""A thousand run folders make a table in five seconds, the start of the process included."""
+"""A table of a thousand run folders; how long it takes is measured in tests/performance."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -13,14 +12,10 @@ from tests.performance.thousand_runs import make_thousand_runs
 
 
 @pytest.mark.slow
-def test_a_thousand_run_folders_make_a_table_in_five_seconds(tmp_path: Path) -> None:
-    count = make_thousand_runs(tmp_path / "runs")
+def test_a_thousand_run_folders_make_a_table(tmp_path: Path) -> None:
+    make_thousand_runs(tmp_path / "runs")
     command = [sys.executable, "-m", "bench.cli", "table", "main_kitti", "runs", "--format", "md"]
-    started = time.perf_counter()
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    seconds = time.perf_counter() - started
-    print(f"{count} runs: {seconds:.2f} s")
-    assert seconds < 5
     # The mean of 20 .. 103, with the sample deviation of 84 numbers in steps of one: sqrt(84 * 85 / 12).
     assert done.stdout.count("61.50 ± 24.39** (84") == 12 + 2
 
