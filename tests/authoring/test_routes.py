@@ -35,13 +35,13 @@ sys.exit(main())
 """
 
 
-@pytest.mark.slow
 @pytest.fixture(scope="module")
 def without_any(tmp_path_factory: pytest.TempPathFactory) -> str:
     """What is listed where no plugin comes by any route."""
     return bgs_bench("list", "stereo", cwd=tmp_path_factory.mktemp("empty"))
 
 
+@pytest.mark.slow
 def test_a_file_in_a_checkout(tmp_path: Path, without_any: str) -> None:
     shutil.copytree(ROOT / "plugins", tmp_path / "plugins", ignore=shutil.ignore_patterns("__pycache__"))
     write_plugin("stereo", "route_file", tmp_path / "plugins" / "stereo")
