@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-import bench.slam.system
+import bench.slam.run
 from bench.config import compose_run
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.gaussians.loss_stack import LossStack
@@ -56,7 +56,7 @@ def test_shares_of_a_frame(system: str, test_data: Path, tmp_path: Path, monkeyp
     stack: list[float] = []
     for owner, name, stage in STAGES:
         monkeypatch.setattr(owner, name, timed(getattr(owner, name), seconds, stage, stack))
-    save_views = bench.slam.system._save_views
+    save_views = bench.slam.run.save_views
 
     def saved_views(*args: Any) -> None:
         before = dict(seconds)  # its renders are no part of a frame
@@ -64,7 +64,7 @@ def test_shares_of_a_frame(system: str, test_data: Path, tmp_path: Path, monkeyp
         seconds.clear()
         seconds.update(before)
 
-    monkeypatch.setattr(bench.slam.system, "_save_views", saved_views)
+    monkeypatch.setattr(bench.slam.run, "save_views", saved_views)
     root = test_data / "kitti_odometry"
     config = compose_run(
         [
@@ -72,7 +72,7 @@ def test_shares_of_a_frame(system: str, test_data: Path, tmp_path: Path, monkeyp
             *(f"system={system}", "protocol.holdout_every=5", "pipeline=sequential", f"output={tmp_path / 'run'}"),
         ]
     )
-    folder = bench.slam.system.run_system(config)
+    folder = bench.slam.run.run_system(config)
     frames = 10
     resources = read_json(folder.path / "resources.json")
     per_frame = {name: value / frames for name, value in seconds.items()}
