@@ -102,6 +102,7 @@ def test_bad_settings_are_one_line() -> None:
         compose_run(["cache.limitgb=3"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", ["stereo.far=79", "dataset.seed=5"])
 def test_another_input_is_computed(settings: list[str], tmp_path: Path, other: str) -> None:
     run(settings, tmp_path / "one", "dataset.frames=1")

@@ -23,6 +23,7 @@ def test_npz_from_the_street(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "3 frames of street/0 (npz, branching 5, depth 2)" in said
 
 
+@pytest.mark.slow
 def test_both_formats_hold_the_same_tree(tmp_path: Path) -> None:
     for name in ("v.npz", "v.txt", "w.txt"):
         assert main(["vocabulary", *SMALL, "--depth", "3", "--out", str(tmp_path / name)]) == 0

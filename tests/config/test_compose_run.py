@@ -96,6 +96,7 @@ class OutlinedConfig(PluginConfig):
     colours: str = field(default="", metadata={"path": True})
 
 
+@pytest.mark.slow
 def test_a_setting_can_be_a_plugin_with_settings_of_its_own(
     clean_registry: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -136,6 +137,7 @@ def test_the_paper_preset_has_the_papers_numbers() -> None:
     assert weights == {"rgb": 0.8, "ssim": 0.2, "geo": 0.1, "normal": 0.1, "smooth": 0.5}
 
 
+@pytest.mark.slow
 def test_hash_does_not_depend_on_order_place_or_rerun(tmp_path: Path) -> None:
     base = compose_run(["seed=1", "stereo.num_disparities=96"]).hash
     same = [
@@ -188,6 +190,7 @@ def test_paths_are_absolute_and_home_is_known(
     assert compose_run(["plugins=[~/mine]"]).values["plugins"] == [str(tmp_path / "mine")]
 
 
+@pytest.mark.slow
 def test_a_sweep_is_composed_before_it_starts() -> None:
     cells = compose_sweep(["seed=0,1", "stereo=sgbm,lidar", "mapper.iterations=range(3,5)"])
     assert len(cells) == 8

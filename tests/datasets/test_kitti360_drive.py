@@ -25,6 +25,8 @@ from bench.evaluation.saved_run import SavedRunFolder
 from plugins.datasets.kitti360 import Kitti360, Kitti360Config
 from plugins.datasets.street import Street, StreetConfig
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 14
 WITHOUT_POSE = (0, 5)
 # Half a degree about every axis, like that of the real cameras.
@@ -61,7 +63,6 @@ def root(street: Street, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-@pytest.mark.slow
 def test_ground_truth_is_the_street_s(root: Path, street: Street) -> None:
     dataset = Kitti360(Kitti360Config(root=str(root), sequence="0009"))
     assert dataset.numbers == tuple(n for n in range(FRAMES) if n not in WITHOUT_POSE)
@@ -81,7 +82,6 @@ def test_lidar_is_the_street_s(root: Path, street: Street) -> None:
         np.testing.assert_allclose(depth, expected, rtol=1e-5)
 
 
-@pytest.mark.slow
 def test_a_run_finds_its_way(root: Path, street: Street, tmp_path: Path) -> None:
     """Tracked from images alone; evo compares with the street's own poses, and the run's score agrees with evo."""
     out = tmp_path / "run"

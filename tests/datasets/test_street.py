@@ -204,6 +204,7 @@ def test_repeated_facades_look_the_same_30_m_on_and_the_ground_does_not() -> Non
     assert np.median(difference["road"]) > 2 * np.median(difference["front"])
 
 
+@pytest.mark.slow
 def test_lorry_covers_about_half_and_moves() -> None:
     settings = {"frames": 45, "width": 480, "height": 144}
     empty = Street(StreetConfig(**settings))

@@ -79,6 +79,7 @@ def test_returns_beside_nearer_ones_are_dropped() -> None:
     assert np.array_equal(unoccluded(lidar), expected)
 
 
+@pytest.mark.slow
 def test_an_unoccluded_mask_changes_depth_l1(
     tmp_path: Path, tiny_config: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

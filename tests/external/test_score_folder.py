@@ -141,6 +141,7 @@ def test_frame_numbers_and_positions(tmp_path: Path, output: Path, capsys: pytes
     assert "renders: renders, 8 of 8 frames by position" in printed
 
 
+@pytest.mark.slow
 def test_held_out_frames_are_scored_apart_only_if_the_system_never_saw_them(folder: Path, output: Path) -> None:
     """Remainder 2 of 5: frames 2 and 7."""
     protocol = "protocol=heldout"

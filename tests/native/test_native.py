@@ -120,6 +120,7 @@ def test_backward_without_its_forward_is_refused() -> None:
         _native.Workspace().backward(planes, None, None, None, planes.clone(), touched, False)
 
 
+@pytest.mark.slow
 def test_the_build_for_every_machine_gives_the_same_images() -> None:
     """The rasterizer's own tests with the kernels that need no AVX2; they are chosen at load, hence the process."""
     tests = Path(__file__).parent.parent / "rasterizers" / "test_cpu_rasterizer.py"

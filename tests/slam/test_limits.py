@@ -30,6 +30,7 @@ def resident_gb() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
+@pytest.mark.slow
 def test_memory_limit_ends_the_run_in_good_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The mapper takes 0.6 GB in its third keyframe, which is 0.3 GB too much; what was done until then is there."""
     hoard: list[Any] = []

@@ -39,6 +39,7 @@ def run(output: Path, *overrides: str) -> Path:
     return run_system(compose_run([*SETTINGS, f"output={output}", *overrides])).path
 
 
+@pytest.mark.slow
 def test_depth_from_the_data_set_runs_to_the_end_like_the_pair(tmp_path: Path) -> None:
     """The same map as of pairs with the same depth and poses, since mapping looks at no right image."""
     options = ("tracker=groundtruth", "stereo=lidar")

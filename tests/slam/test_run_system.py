@@ -21,6 +21,8 @@ from bench.runs.folder import RunFolder
 from bench.slam.run import run_system
 from bench.types import Event, Keyframe, MappingReport
 
+pytestmark = pytest.mark.slow
+
 TINY = ("dataset.frames=5", "dataset.width=160", "dataset.height=64", "mapper.iterations=2", "protocol.lpips=false")
 
 

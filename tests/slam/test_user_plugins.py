@@ -55,6 +55,7 @@ def killed(output: Path, monkeypatch: pytest.MonkeyPatch, after: int, *overrides
             run(output, "checkpoint_s=0", *overrides)
 
 
+@pytest.mark.slow
 def test_a_tracker_that_looks_at_the_map_is_resumed_to_the_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames before the break are not tracked again; what is saved is that of an unbroken run."""
     whole, broken = tmp_path / "whole", tmp_path / "broken"
@@ -92,6 +93,7 @@ def test_a_tracker_that_looks_at_the_map_passes_its_checks() -> None:
     assert "the same bits" in next(finding.seen for finding in findings if finding.title == "resumes")
 
 
+@pytest.mark.slow
 def test_each_frame_is_tracked_when_the_one_before_is_in_the_map(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -149,6 +151,7 @@ def test_a_mapper_without_a_view_is_refused_before_anything_is_written(tmp_path:
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_mapper_without_gaussians_is_run_scored_saved_resumed_and_tabled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,6 +182,7 @@ def test_the_mapper_without_gaussians_passes_its_checks() -> None:
     assert not [finding.lines() for finding in findings if finding.state == "FAILED"]
 
 
+@pytest.mark.slow
 def test_views_that_need_depth_and_have_none_are_absent_and_never_black(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

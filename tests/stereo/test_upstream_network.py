@@ -74,6 +74,7 @@ def test_two_networks_of_one_package_name_side_by_side(igev: UpstreamNetwork, tc
     assert not [name for name in sys.modules if name.partition(".")[0] in ("core", "cupy")]
 
 
+@pytest.mark.slow
 def test_padding_is_taken_off_where_it_was_put_on(igev: UpstreamNetwork) -> None:
     rng = np.random.default_rng(1)
     left, right = (rng.integers(30, 200, (HEIGHT, WIDTH, 3), dtype=np.uint8) for _ in range(2))
@@ -99,6 +100,7 @@ def test_the_process_dies(folder: Path, igev: UpstreamNetwork) -> None:
         igev.disparity(*constant_pair((40, 1, 2), (3, 25, 4)))
 
 
+@pytest.mark.slow
 def test_what_the_process_refuses_is_told(folder: Path) -> None:
     """Through another interpreter's start, which sees the bench's modules but not the folder that holds them."""
     wrong = tcsm_checkpoint(folder / "wrong.pth")
@@ -213,6 +215,7 @@ class _Motions:
         return T
 
 
+@pytest.mark.slow
 def test_tcsm_uses_the_frame_before_and_begins_anew_on_a_jump(
     tcsm: TemporalUpstreamNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,6 +37,7 @@ def test_first_seed_of_every_cell_first_and_short_sequences_before_long_ones(kit
     assert all("does not exist" in skipped.reason for skipped in plan.skipped)
 
 
+@pytest.mark.slow
 def test_the_run_command_composes_the_very_run(tmp_path: Path) -> None:
     """Otherwise a sweep would look for its runs in folders where they are not; also where the path is an odd one."""
     root = tmp_path / "it's a, {place}"
@@ -60,6 +61,7 @@ def test_a_setting_that_some_cells_fix_holds_for_the_others(kitti: Path) -> None
     assert {run.config.values["stereo"]["name"] for run in plan.runs if "LiDAR" not in run.cell.row} == {"sgbm"}
 
 
+@pytest.mark.slow
 def test_backbones_that_cannot_run_here_are_skipped_with_the_reason(kitti: Path) -> None:
     plan = make_plan(named_table("backbones"), [f"dataset.root={kitti}"], [0])
     assert "SGBM" in {run.cell.row for run in plan.runs}
@@ -160,6 +162,7 @@ def test_experiments_that_cannot_be(overrides: list[str], message: str) -> None:
     assert message in str(error.value)
 
 
+@pytest.mark.slow
 def test_every_combination_once_in_its_own_folder(tmp_path: Path) -> None:
     """Two values of two keys, one of them twice; the value with a comma and a quote reaches the run as it is."""
     odd = "it's a, {place}"
@@ -179,6 +182,7 @@ def test_every_combination_once_in_its_own_folder(tmp_path: Path) -> None:
         assert planned.folder == plan.root / composed.hash
 
 
+@pytest.mark.slow
 def test_cells_of_an_experiment_are_named_by_row(tmp_path: Path) -> None:
     plan = plan_combinations(["experiment=ablation", "mapper.iterations=3,4", "seed=2", f"output={tmp_path}"])
     assert len(plan.runs) == 14

