@@ -46,6 +46,7 @@ def read_mistakes(file: Path) -> list[Mistake]:
 MISTAKES = [mistake for file in sorted(Path(__file__).parent.glob("mistakes/*.txt")) for mistake in read_mistakes(file)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: f"{mistake.kind}: {mistake.name}")
 def test_a_mistake_is_found_and_placed(mistake: Mistake, finding_about: Callable[..., Finding], tmp_path: Path) -> None:
     finding = finding_about(mistake.kind, mistake.check, (mistake.old, mistake.new))

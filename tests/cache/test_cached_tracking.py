@@ -119,6 +119,7 @@ def test_a_run_that_stops_early_leaves_no_recording(tmp_path: Path, monkeypatch:
     assert not list((tmp_path / "cache").rglob("tracker/*/*/*.entry"))
 
 
+@pytest.mark.slow
 def test_what_finish_corrects_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A tracker that moves its third pose by a metre at the very end."""
     finished: list[bool] = []

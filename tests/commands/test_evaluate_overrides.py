@@ -51,6 +51,7 @@ def test_another_protocol_is_another_run_folder(finished_run: Finished, tmp_path
     assert {name for name, content in content_of(out).items() if content != after[name]} <= {"trajectory.png"}
 
 
+@pytest.mark.slow
 def test_the_default_place_is_beside_the_run(
     finished_run: Finished, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

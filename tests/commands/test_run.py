@@ -120,6 +120,7 @@ def test_a_finished_run_is_not_run_again(copy: Path, capsys: pytest.CaptureFixtu
     assert times_of_files(copy) == before
 
 
+@pytest.mark.slow
 def test_rerun_gives_the_same_numbers_and_the_same_bytes(copy: Path, finished_run: Finished) -> None:
     """Also a proof that a fresh process and this one agree."""
     assert main(["run", *TINY, f"output={copy}", "rerun=true"]) == 0
@@ -137,6 +138,7 @@ def test_rerun_gives_the_same_numbers_and_the_same_bytes(copy: Path, finished_ru
         assert (copy / name).read_bytes() == (finished_run[0] / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another_map(finished_run: Finished, tmp_path: Path) -> None:
     assert main(["run", *TINY, "seed=1", f"output={tmp_path / 'run'}"]) == 0
     assert (tmp_path / "run/map.ply").read_bytes() != (finished_run[0] / "map.ply").read_bytes()
@@ -151,6 +153,7 @@ def test_evaluate_gives_the_same_metrics(copy: Path) -> None:
     assert (copy / "per_frame.csv").is_file()
 
 
+@pytest.mark.slow
 def test_a_run_without_scores_is_scored_when_asked_for_again(copy: Path) -> None:
     before = read(copy / "metrics.json")
     (copy / "metrics.json").unlink()

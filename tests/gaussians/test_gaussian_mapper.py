@@ -73,6 +73,7 @@ def test_optimisation_beats_the_seeding() -> None:
     assert 10.0 < seeds < learned - 5.0
 
 
+@pytest.mark.slow
 def test_the_whole_sequence_is_learned_and_not_only_the_newest_frame() -> None:
     assert min(psnr_by_hand(mapped(iterations=30), keyframe) for keyframe in street()[1]) > 25.0
 

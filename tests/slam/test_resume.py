@@ -179,12 +179,14 @@ def test_a_tracker_that_never_says_the_same_begins_anew(tmp_path: Path, monkeypa
     assert json.loads((folder / "status.json").read_text())["frames_done"] == 6
 
 
+@pytest.mark.slow
 def test_a_mapper_without_a_state_has_no_checkpoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(GaussianMapper, "state", lambda self: None)
     monkeypatch.setattr(Checkpoints, "_write", lambda *nothing: pytest.fail("a checkpoint of nothing"))
     assert run(tmp_path / "run").path.is_dir()
 
 
+@pytest.mark.slow
 def test_a_checkpoint_that_cant_be_written_costs_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(self: Checkpoints, snapshot: Any) -> None:
         raise BenchError("Can't write state.pt: No space left on device.")

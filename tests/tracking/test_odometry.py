@@ -16,6 +16,7 @@ def centres(results: list[Any]) -> np.ndarray:
     return np.array([r.T_world_cam[:3, 3] for r in results])
 
 
+@pytest.mark.slow
 def test_street_is_tracked_to_a_centimetre_a_frame(drive: Any, odometry: Any) -> None:
     tracker = odometry()
     results = [tracker.track(*pair, 0.1 * i) for i, pair in enumerate(drive.pairs)]
