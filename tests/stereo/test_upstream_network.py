@@ -231,7 +231,8 @@ def test_tcsm_uses_the_frame_before_and_begins_anew_on_a_jump(
         return float(disparity[0, 0])
 
     class _Sequence:
-        pass
+        def require_right(self, part: str, instead: str) -> None:
+            """It has right images."""
 
     tcsm.start(_Sequence())  # type: ignore[arg-type]
     assert [disparity_of(number) for number in (3, 4)] == pytest.approx([20, 29])
