@@ -16,7 +16,8 @@ RUNS = (
     *("run", "-m", "seed=0,1", "dataset.frames=2", "dataset.width=96", "dataset.height=48", "mapper.iterations=2"),
     *("tracker=groundtruth", "protocol.lpips=false", "cache.enabled=false"),
 )
-RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+# RAY_ADDRESS: another's cluster, which a sweep does not join unless it is told to.
+RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_ADDRESS": "127.0.0.1:9"}
 LAUNCHERS = {
     "joblib": ("hydra_joblib_launcher", ("--jobs", "2")),
     "slurm_local": ("hydra_submitit_launcher", ("--jobs", "2")),
