@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 
+from bench.deferred_imports import defer
 from bench.errors import BenchError
 
 _COMMANDS = (
@@ -22,6 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Read when a command first imports torch: its OpenMP threads would otherwise spin after each operation and take the
     # cores from the C++ core's threads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    defer()
     try:
         args = _parsed(list(sys.argv[1:] if arguments is None else arguments))
         code: int = args.run(args)

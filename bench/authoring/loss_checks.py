@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.contracts.loss import LossValue
@@ -16,6 +15,9 @@ from bench.contracts.rasterizer import Rendered
 from bench.supervision.ssim import gaussian_blur, ssim
 from bench.supervision.target import Target
 from bench.types import PinholeView
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _SIZE, _ODD_SIZE = (24, 40), (33, 47)
 _IMAGES = ("color", "depth", "alpha")

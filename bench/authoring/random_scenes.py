@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
 from bench.gaussians.parameters import planes_from
 from bench.gaussians.schema import COLOR, HARMONICS, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, planes_of
 from bench.types import PinholeView
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 GROUPS = {
     "means": MEAN,

@@ -5,11 +5,10 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from bench import registry
 from bench.authoring.random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, relative_l2, render_and_back
@@ -19,6 +18,9 @@ from bench.errors import BenchError
 from bench.gaussians.parameters import planes_from
 from bench.gaussians.schema import THRESHOLDS, planes_of
 from bench.types import PinholeView
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _SCENES = (SceneSpec(1, 150, 70, 41, 1.2, (0.05, 0.5)), SceneSpec(4, 150, 33, 17, 6.0, (0.6, 0.99)))
 _HARMONICS = SceneSpec(5, 150, 70, 41, 2.0, (0.05, 0.9), degree=3)
@@ -49,8 +51,8 @@ class Subject:
         size = (view.height, view.width)
         for name, shape in (("color", (3, *size)), ("depth", size), ("alpha", size)):
             image = getattr(answer, name, None)
-            if not isinstance(image, Tensor) or tuple(image.shape) != shape or image.dtype != torch.float32:
-                got = f"{image.dtype} {tuple(image.shape)}" if isinstance(image, Tensor) else type(image).__name__
+            if not isinstance(image, torch.Tensor) or tuple(image.shape) != shape or image.dtype != torch.float32:
+                got = f"{image.dtype} {tuple(image.shape)}" if isinstance(image, torch.Tensor) else type(image).__name__
                 raise ContractBrokenError(
                     f"render(): {name} is {got}",
                     f"float32 tensor {shape}",

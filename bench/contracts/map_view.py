@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from torch import Tensor
 
 from bench.types import Float, Map, PinholeView, RenderedView
 
-ImageLoss = Callable[[Tensor, Tensor, Tensor], Tensor]
+if TYPE_CHECKING:
+    from torch import Tensor
+
+ImageLoss: TypeAlias = "Callable[[Tensor, Tensor, Tensor], Tensor]"
 """A scalar of colour (3, H, W), depth (H, W) = sum d alpha T in metres and alpha (H, W): tensors with gradients."""
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import Tensor
 
 from bench.errors import BenchError
 from bench.types import PinholeView
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @dataclass

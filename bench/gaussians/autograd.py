@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
 from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
 from bench.types import PinholeView
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class AutogradRasterizer(Rasterizer):
     """An author writes ``splat``, differentiable by the planes and by the twist; the rest follows.
 
-    ``dtype`` is what ``splat`` computes in; images and gradients come back in the dtype of the planes that were
-    given, so an oracle in float64 serves mapping (float32) too.
+    ``precision`` names the dtype that ``splat`` computes in; images and gradients come back in the dtype of the planes
+    that were given, so an oracle in float64 serves mapping (float32) too.
     """
 
-    dtype = torch.float32
+    precision = "float32"
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """What ``splat`` is given."""
+        dtype: torch.dtype = getattr(torch, self.precision)
+        return dtype
 
     @abstractmethod
     def splat(self, planes: Tensor, view: PinholeView, twist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from bench.contracts.loss import ImageGradients, LossTerm
 from bench.contracts.rasterizer import Rendered
 from bench.supervision.photometric import photometric
 from bench.supervision.target import Target
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class LossStack:

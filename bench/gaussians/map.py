@@ -5,11 +5,10 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from bench.gaussians.ply import read_ply, write_ply
 from bench.gaussians.schema import HARMONICS, MEAN, QUATERNION, degree_of, planes_of
@@ -17,8 +16,10 @@ from bench.gaussians.spherical_harmonics import band_rotation
 from bench.geometry import se3
 from bench.types import Float, Trajectory
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 _COLUMNS = ("planes", "first_moment", "second_moment", "birth_depth", "anchor")
-_CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class GaussianMap:
     birth_depth: Tensor
     anchor: Tensor
 
-    def __init__(self, sh_degree: int, device: torch.device) -> None:
+    def __init__(self, sh_degree: int, device: str | torch.device) -> None:
         for name in ("planes", "first_moment", "second_moment"):
             setattr(self, name, torch.zeros(planes_of(sh_degree), 0, device=device))
         self.birth_depth = torch.zeros(0, device=device)
@@ -143,7 +144,7 @@ class GaussianMap:
         write_ply(path, self.planes)
 
     @classmethod
-    def load(cls, path: Path, device: torch.device = _CPU) -> GaussianMap:
+    def load(cls, path: Path, device: str | torch.device = "cpu") -> GaussianMap:
         """A map that ``save`` or another 3DGS program wrote; ``BenchError`` for a file that is none.
 
         The file has the parameters alone: moments are zero, birth depths NaN, and no Gaussian has a keyframe.

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
 from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, SH_C0
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def planes_from(means: Tensor, scales: Tensor, quaternions: Tensor, opacities: Tensor, colors: Tensor) -> Tensor:

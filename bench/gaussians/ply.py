@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from plyfile import PlyData, PlyElement, PlyParseError
-from torch import Tensor
 
 from bench.errors import BenchError
 from bench.gaussians.schema import (
@@ -22,6 +22,9 @@ from bench.gaussians.schema import (
     degree_of,
     planes_of,
 )
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def write_ply(path: Path, planes: Tensor) -> None:

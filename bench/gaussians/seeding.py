@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
 
 from bench.errors import BenchError
 from bench.gaussians.parameters import planes_from
 from bench.geometry import se3
 from bench.types import DepthMap, Image, Map, Mask, PinholeView
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @dataclass(frozen=True)

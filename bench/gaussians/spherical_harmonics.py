@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
 from bench.gaussians.schema import COLOR, HARMONICS, MEAN, SH_C0, degree_of
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def basis(directions: Tensor, degree: int) -> Tensor:

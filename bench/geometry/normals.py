@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
-from torch import Tensor
 
 from bench.types import PinholeView
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def normals_from_depth(depth: Tensor, known: Tensor, view: PinholeView) -> tuple[Tensor, Tensor]:

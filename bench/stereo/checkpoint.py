@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
 
 from bench.errors import BenchError
 
@@ -19,7 +18,7 @@ _SHOWN = 3
 _COUNTER = "num_batches_tracked"
 
 
-def load_state(path: Path) -> dict[str, Tensor]:
+def load_state(path: Path) -> dict[str, torch.Tensor]:
     """The tensors of a checkpoint by key, on the CPU, without the ``module.`` of data-parallel training.
 
     Nothing but tensors and plain data is unpickled. Raises ``BenchError`` for a file that is missing, damaged, holds a
@@ -52,7 +51,9 @@ def load_state(path: Path) -> dict[str, Tensor]:
     return state
 
 
-def fit_state(network: nn.Module, state: Mapping[str, Tensor], path: Path, ignore: Sequence[str] = ()) -> None:
+def fit_state(
+    network: torch.nn.Module, state: Mapping[str, torch.Tensor], path: Path, ignore: Sequence[str] = ()
+) -> None:
     """Load ``state`` into ``network``; raises ``BenchError`` that counts and names the keys that do not fit.
 
     ``ignore`` holds prefixes of keys in the file for parts that the network does without. ``path`` is for the message.
@@ -79,7 +80,7 @@ def fit_state(network: nn.Module, state: Mapping[str, Tensor], path: Path, ignor
     network.load_state_dict(offered, strict=False)
 
 
-def _tensors(content: Any) -> dict[str, Tensor]:
+def _tensors(content: Any) -> dict[str, torch.Tensor]:
     """The named tensors in what a file held: those under a known key if there is one, else those at the top."""
     if not isinstance(content, Mapping):
         return {}
@@ -87,7 +88,7 @@ def _tensors(content: Any) -> dict[str, Tensor]:
         if isinstance(content.get(key), Mapping):
             content = content[key]
             break
-    tensors = {str(key): value for key, value in content.items() if isinstance(value, Tensor)}
+    tensors = {str(key): value for key, value in content.items() if isinstance(value, torch.Tensor)}
     if all(key.startswith("module.") for key in tensors):
         return {key.removeprefix("module."): value for key, value in tensors.items()}
     return tensors

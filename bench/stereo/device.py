@@ -6,7 +6,7 @@ import torch
 
 from bench.errors import BenchError, require_choice
 
-DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
+DTYPES = ("float32", "bfloat16", "float16")
 
 
 def choose_device(setting: str) -> torch.device:
@@ -26,4 +26,5 @@ def choose_device(setting: str) -> torch.device:
 
 def choose_dtype(setting: str) -> torch.dtype:
     """The number format by its name; raises ``BenchError`` for one that is not float32, bfloat16 or float16."""
-    return DTYPES[require_choice("stereo.dtype", setting, DTYPES)]
+    dtype: torch.dtype = getattr(torch, require_choice("stereo.dtype", setting, DTYPES))
+    return dtype

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
 
 from bench.errors import BenchError
 from bench.stereo.device import choose_device, choose_dtype
@@ -51,16 +50,16 @@ class TorchStereo(StereoNetwork):
         self._offset = (-mean / std).to(self.device)
 
     @abstractmethod
-    def load(self) -> nn.Module:
+    def load(self) -> torch.nn.Module:
         """The network with its weights (``self.weights_path``), on the CPU; the base class moves it to the device."""
 
-    def predict(self, left: Tensor, right: Tensor) -> Tensor:
+    def predict(self, left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
         """Disparity of the left image in pixels of these images: (H, W), also with one or two leading ones.
 
         ``left`` and ``right`` are (1, 3, H, W) float32 on ``self.device``, padded and normalised. Runs in inference
         mode, and under autocast where ``dtype`` is not float32.
         """
-        disparity: Tensor = self.network(left, right)
+        disparity: torch.Tensor = self.network(left, right)
         return disparity
 
     def match(self, left: Image, right: Image) -> Map:
@@ -76,14 +75,14 @@ class TorchStereo(StereoNetwork):
             output = self.predict(self._as_input(padded_left), self._as_input(padded_right))
             return self._as_map(output, shape)[window].copy()
 
-    def _as_input(self, image: Image) -> Tensor:
+    def _as_input(self, image: Image) -> torch.Tensor:
         """(H, W, 3) uint8 to (1, 3, H, W) float32, normalised, in channels-last memory."""
         pixels = torch.from_numpy(np.ascontiguousarray(image)).to(self.device)
         return pixels[None].permute(0, 3, 1, 2).float().mul_(self._gain).add_(self._offset)
 
-    def _as_map(self, output: Tensor, shape: tuple[int, int]) -> Map:
+    def _as_map(self, output: torch.Tensor, shape: tuple[int, int]) -> Map:
         what = f"{type(self).__name__}.predict"
-        if not isinstance(output, Tensor):
+        if not isinstance(output, torch.Tensor):
             raise BenchError(f"{what} returned {type(output).__name__}; return a tensor (1, 1, H, W) of disparities.")
         if tuple(output.shape[-2:]) != shape or output.numel() != shape[0] * shape[1]:
             raise BenchError(

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
-from torch import Tensor
 
 from bench.supervision.ssim import ssim
 from bench.supervision.target import Target
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def photometric(color: Tensor, target: Target, weight_l1: float, weight_ssim: float) -> tuple[float, float, Tensor]:

@@ -4,15 +4,18 @@ elsewhere."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
 from bench.contracts.loss import CoreLoss, ImageGradients, LossConfig
 from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError, require_choice
 from bench.registry import register
 from bench.supervision.target import Target
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
 from bench.contracts.loss import CoreLoss, ImageGradients, LossConfig
 from bench.contracts.rasterizer import Rendered
 from bench.geometry.normals import normals_from_depth
 from bench.registry import register
 from bench.supervision.target import Target
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 # A pixel's rendered normal means something where the pixel is covered.
 COVERED = 0.5

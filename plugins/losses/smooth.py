@@ -4,9 +4,9 @@ elsewhere."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
 from bench.contracts.loss import CoreLoss, ImageGradients, LossConfig
 from bench.contracts.rasterizer import Rendered
@@ -15,6 +15,9 @@ from bench.geometry.normals import normals_from_depth
 from bench.registry import register
 from bench.supervision.target import Target
 from plugins.losses.normal import COVERED
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @dataclass(frozen=True)

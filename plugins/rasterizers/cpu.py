@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from bench.contracts.rasterizer import Gradients, Observation, Rasterizer, Rendered
 from bench.registry import PluginConfig, register
 from bench.types import PinholeView
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @register("rasterizer", "cpu")

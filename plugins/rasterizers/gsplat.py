@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
 
 from bench.contracts.rasterizer import Observation
 from bench.errors import BenchError
@@ -15,6 +15,9 @@ from bench.gaussians.schema import THRESHOLDS, degree_of
 from bench.gaussians.spherical_harmonics import coefficients
 from bench.registry import PluginConfig, register
 from bench.types import PinholeView
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @register("rasterizer", "gsplat")
@@ -30,11 +33,11 @@ class GsplatRasterizer(AutogradRasterizer):
 
     @classmethod
     def unavailable_reason(cls) -> str | None:
-        """None, or what is missing: a CUDA device, or the package."""
+        """None, or what is missing: the package, or a CUDA device (asked last, since that imports torch)."""
+        if importlib.util.find_spec("gsplat") is None:
+            return "gsplat is not installed. With a GPU: pip install 'bgs-slam-bench[cuda]'; else mapper.rasterizer=cpu"
         if not torch.cuda.is_available():
             return "torch sees no CUDA device. Use mapper.rasterizer=cpu, or a GPU and a CUDA build of torch"
-        if importlib.util.find_spec("gsplat") is None:
-            return "gsplat is not installed. Run: pip install 'bgs-slam-bench[cuda]'"
         return None
 
     def observe(self, planes: Tensor, view: PinholeView) -> Observation:

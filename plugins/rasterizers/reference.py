@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
-from torch import Tensor
 
 from bench.contracts.rasterizer import Observation
 from bench.gaussians.autograd import AutogradRasterizer, perturbed
@@ -12,12 +13,15 @@ from bench.gaussians.spherical_harmonics import colors
 from bench.registry import PluginConfig, register
 from bench.types import PinholeView
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 
 @register("rasterizer", "reference")
 class ReferenceRasterizer(AutogradRasterizer):
     """Float64 torch rasterizer for small scenes, the oracle that the fast ones are tested against."""
 
-    dtype = torch.float64
+    precision = "float64"
 
     def __init__(self, config: PluginConfig) -> None:
         self.device = torch.device("cpu")

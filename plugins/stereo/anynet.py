@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torch import nn
+import torch
 
 from bench.errors import require_choice
 from bench.registry import register
 from bench.stereo.checkpoint import fit_state, load_state
 from bench.stereo.network import NetworkConfig
-from bench.stereo.networks.anynet import AnyNet, FastAnyNet
 from bench.stereo.torch_network import TorchStereo
 
 
@@ -35,8 +34,10 @@ class AnyNetStereo(TorchStereo):
     def __init__(self, config: AnyNetConfig) -> None:
         super().__init__(config, published=f"anynet_{config.trained_on}")
 
-    def load(self) -> nn.Module:
+    def load(self) -> torch.nn.Module:
         """The network with the checkpoint's weights; raises ``BenchError`` if they don't fit."""
+        from bench.stereo.networks.anynet import AnyNet, FastAnyNet  # here: it imports torch
+
         assert self.weights_path is not None
         network = AnyNet()
         fit_state(network, load_state(self.weights_path), self.weights_path, ignore=("refine_spn.",))

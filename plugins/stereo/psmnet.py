@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import torch
-from torch import nn
 
 from bench.registry import register
 from bench.stereo.checkpoint import fit_state, load_state
 from bench.stereo.network import NetworkConfig
-from bench.stereo.networks.folding import fold_batch_norms
-from bench.stereo.networks.psmnet import PsmNet
 from bench.stereo.torch_network import TorchStereo
 
 
@@ -22,8 +19,11 @@ class PsmNetStereo(TorchStereo):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config, published="psmnet_kitti2015")
 
-    def load(self) -> nn.Module:
+    def load(self) -> torch.nn.Module:
         """The network with the checkpoint's weights; raises ``BenchError`` if they don't fit."""
+        from bench.stereo.networks.folding import fold_batch_norms  # here: they import torch
+        from bench.stereo.networks.psmnet import PsmNet
+
         assert self.weights_path is not None
         network = PsmNet()
         fit_state(network, load_state(self.weights_path), self.weights_path)

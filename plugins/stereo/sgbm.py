@@ -15,10 +15,10 @@ from bench.stereo.left_right import left_right_checked
 from bench.types import Image, Map
 
 _MODES = {
-    "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
-    "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
-    "hh": cv2.STEREO_SGBM_MODE_HH,
-    "hh4": cv2.STEREO_SGBM_MODE_HH4,
+    "3way": "STEREO_SGBM_MODE_SGBM_3WAY",
+    "sgbm": "STEREO_SGBM_MODE_SGBM",
+    "hh": "STEREO_SGBM_MODE_HH",
+    "hh4": "STEREO_SGBM_MODE_HH4",
 }
 # OpenCV's disparities are integers in sixteenths of a pixel.
 _FRACTIONS = np.float32(16.0)
@@ -90,7 +90,7 @@ class Sgbm(StereoBackbone):
             uniquenessRatio=config.uniqueness,
             speckleWindowSize=config.speckle_size,
             speckleRange=config.speckle_range,
-            mode=_MODES[config.mode],
+            mode=getattr(cv2, _MODES[config.mode]),
         )
 
     def disparity(self, left: Image, right: Image) -> Map:

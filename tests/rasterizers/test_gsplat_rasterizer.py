@@ -58,6 +58,7 @@ def test_images_and_gradients_agree(gsplat: GsplatRasterizer, spec: SceneSpec) -
 
 def test_unavailable_without_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr("plugins.rasterizers.gsplat.importlib.util.find_spec", lambda name: object())
     assert "no CUDA device" in str(registry.lookup("rasterizer", "gsplat").unavailable_reason())
 
 
@@ -99,7 +100,7 @@ def test_what_is_handed_to_gsplat(monkeypatch: pytest.MonkeyPatch, spec: SceneSp
 
     monkeypatch.setitem(sys.modules, "gsplat", types.SimpleNamespace(rasterization=stand_in))
     mine = GsplatRasterizer(PluginConfig("gsplat"))
-    mine.device, mine.dtype = torch.device("cpu"), torch.float64
+    mine.device, mine.precision = torch.device("cpu"), "float64"
     planes, view = random_scene(spec)
     planes, grads = planes.double(), tuple(g.double() for g in image_gradients(view, 1))
     rendered, gradients = render_and_back(mine, planes, view, grads)  # type: ignore[arg-type]
