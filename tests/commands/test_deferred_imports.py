@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import inspect
+import subprocess
 import sys
 import threading
 from pathlib import Path
 
 import pytest
-from fresh_process import python
 
 from bench.deferred_imports import defer
 
@@ -58,6 +58,8 @@ def test_threads_wait_for_the_first(slow: str) -> None:
 
 def test_listing_executes_no_slow_module(tmp_path: Path) -> None:
     code = "import sys; from bench.cli import main; main(['list']); print('cuda' in vars(sys.modules['torch']))"
-    said = python(["-c", code], tmp_path).splitlines()
+    said = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE, text=True
+    ).stdout.splitlines()
     assert "sgbm" in " ".join(said)
     assert said[-1] == "False"
