@@ -13,6 +13,7 @@ from bench.runs.config_file import RUNS_FOLDER
 from bench.tables.collect import collect_row, find_runs, row_of
 from bench.tables.document.forms import FORMS, form_of, save, text_of
 from bench.tables.named.find import table_names
+from bench.tables.named.grid import COLUMNS
 from bench.tables.named.records import read_runs
 from bench.tables.named.table import make_table
 from bench.tables.records.file import SUFFIX, is_record_file, read_record_file, record_text
@@ -65,6 +66,9 @@ def add_parser(subparsers: Any) -> None:
         "--views", choices=VIEW_GROUPS, help="named table: whose image metrics (default: a record's own, else left)"
     )
     parser.add_argument(
+        "--columns", choices=COLUMNS, default="both", help="named table: our numbers, the paper's, or both (default)"
+    )
+    parser.add_argument(
         "--plugins", action="append", default=[], metavar="FOLDER", help="a folder with tables of yours"
     )
     parser.set_defaults(run=run)
@@ -92,6 +96,8 @@ def run(args: argparse.Namespace) -> int:
             f"There is no folder and no table {name}; the tables are {', '.join(names)}, and those in --plugins FOLDER."
             f"{did_you_mean(name, names)}"
         )
+    if args.columns != "both":
+        raise BenchError(f"--columns {args.columns} is for a named table, one of {', '.join(names)}.")
     forms = {path: "" if is_record_file(path) else form_of(path, f" or {SUFFIX}") for path in args.out}
     files = [path for path in paths if is_record_file(path)]
     given = [path for path in paths if path not in files]
@@ -112,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _named(name: str, runs: list[Path], args: argparse.Namespace) -> int:
     files = [place for place in args.out if _is_file(place)]
-    table = make_table(name, runs, args.views, args.plugins)
+    table = make_table(name, runs, args.views, args.plugins, args.columns)
     if args.format and not args.out:
         print(table.text(args.format, Path()), end="")
         return 0

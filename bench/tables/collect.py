@@ -41,6 +41,8 @@ FIXED = (
     Column("tracker", "Tracker"),
     Column("status", "Status"),
     Column("frames", "Frames"),
+    Column("weak", "Weak", is_number=True),
+    Column("lost", "Lost", is_number=True),
 )
 """What every run has, before its metrics."""
 
@@ -51,7 +53,7 @@ class Row:
 
     ``static_camera``: how many frames have ground truth, and the ATE in metres of a camera that never moves in them.
     A reference row is no run: it is a mark to compare runs with. ``own_metrics`` are those that no evaluator of the
-    project declares.
+    project declares. ``runs`` are those that the row is of, more than one where it is of means over seeds.
     """
 
     values: dict[str, Any]
@@ -60,6 +62,7 @@ class Row:
     static_camera: tuple[int, float] | None = None
     is_reference: bool = False
     own_metrics: tuple[Metric, ...] = ()
+    runs: tuple[RunRecord, ...] = ()
 
 
 def find_runs(paths: list[Path]) -> list[Path]:
@@ -107,7 +110,7 @@ def row_of(run: RunRecord) -> Row:
     notes = [*run.damage, *([f"stopped: {run.reason}"] if run.reason else [])]
     notes += [*about_lost_frames(frames, trajectory), *run.notes]
     static_camera = static_camera_of(trajectory, frames)
-    return Row(values, dict(run.protocol), tuple(notes), static_camera, own_metrics=run.own_metrics)
+    return Row(values, dict(run.protocol), tuple(notes), static_camera, own_metrics=run.own_metrics, runs=(run,))
 
 
 def columns_of(rows: Sequence[Row]) -> tuple[Column, ...]:
@@ -145,11 +148,11 @@ def _looks_like_run(folder: Path) -> bool:
 
 
 def _show_tracked(frames: dict[str, Any], values: dict[str, Any]) -> None:
-    """Put the number of tracked frames, and in the status how many were lost, into a row's values."""
+    """Put the numbers of tracked, weak and lost frames into a row's values, those lost in the status too."""
     tracked, lost = frames.get("tracked"), frames.get("lost")
     if not (isinstance(tracked, int) and isinstance(lost, int)):
         return
     total = str(values["frames"] or "").partition("/")[2] or frames.get("total")
-    values["frames"] = f"{tracked}/{total}"
+    values |= {"frames": f"{tracked}/{total}", "weak": frames.get("weak"), "lost": lost}
     if lost:
         values["status"] = f"{values['status']}, {lost} frames lost"

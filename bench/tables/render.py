@@ -11,8 +11,13 @@ from bench.tables.collect import Column, Row, columns_of
 from bench.tables.document import model
 from bench.tables.document.model import UNKNOWN, Cell, Data, Document
 from bench.tables.document.terminal import print_document
+from bench.tables.groups import COUNT, SEEDS, STD, GroupedRuns, group_runs
 from bench.tables.static_camera import NAME, static_camera_rows
 
+# Runs that have little in common differ in dozens of settings; a CSV file has them all.
+_MOST_SETTINGS = 10
+# From which size on a mean of whole numbers is shown without decimals.
+_WHOLE_FROM = 100
 # Parts of the stamp that a reader needs to know what a number is; the rest is in each run's metrics.json.
 _STAMP = (
     "name",
@@ -37,29 +42,56 @@ _STAMP = (
 def runs_document(rows: Sequence[Row], columns: Sequence[Column] = (), name: str = "Runs") -> Document:
     """One row per run, then the static camera's for each data set; without the optional columns that no row has.
 
-    The columns are by default those of the table of runs. The data has all of them, and the name of the protocol.
+    By default it is the table of runs: with a column for each setting in which they differ, and one row for those that
+    differ in their seed alone. With ``columns`` of something else, each row is shown as it is. The data has all
+    columns, the spreads, and the name of the protocol.
     """
-    columns = columns or columns_of(rows)
+    grouped = GroupedRuns(tuple(rows), ()) if columns else group_runs(rows)
+    usual = columns or columns_of(rows)
     references = static_camera_rows(rows)
-    first, *others = columns_with_values(rows, columns)
-    blocks = [tuple(_row(row, first, others) for row in block) for block in (rows, references) if block]
-    data = [row.values | {"protocol": row.protocol.get("name", "")} for row in (*rows, *references)]
+    counts = (SEEDS, COUNT) if grouped.has_groups else ()
+    first, *others = usual
+    shown_columns = columns_with_values(rows, others)
+    shown_columns = [*grouped.settings[:_MOST_SETTINGS], *counts, *shown_columns]
+    blocks = [tuple(_row(row, first, shown_columns) for row in block) for block in (grouped.rows, references) if block]
+    notes = footnotes(rows)
+    if unseen := grouped.settings[_MOST_SETTINGS:]:
+        notes.append(f"The runs differ too in {', '.join(column.title for column in unseen)}; a CSV file has these.")
     return Document(
         name=name,
         title="",
         left=(_heading(first),),
-        columns=tuple(_heading(column) for column in others),
+        columns=tuple(_heading(column) for column in shown_columns),
         blocks=tuple(blocks),
-        notes=tuple(footnotes(rows)),
-        data=Data((*(column.key for column in columns), "protocol"), data),
+        notes=tuple(notes),
+        data=_data(grouped, references, usual, bool(columns)),
+        # A row of one run is called by its folder's name.
+        links=tuple((label, runs) for label, runs in grouped.folders() if len(runs) > 1),
     )
 
 
+def _data(grouped: GroupedRuns, references: Sequence[Row], usual: Sequence[Column], as_they_are: bool) -> Data:
+    first, *others = usual
+    keys = [first.key, *(column.key for column in grouped.settings)]
+    keys += [] if as_they_are else [SEEDS.key, COUNT.key]
+    for column in others:
+        keys.append(column.key)
+        if grouped.has_groups and column.is_number:
+            keys.append(f"{column.key}{STD}")
+    rows = [row.values | {"protocol": row.protocol.get("name", "")} for row in (*grouped.rows, *references)]
+    return Data((*keys, "protocol"), rows)
+
+
 def print_table(rows: Sequence[Row], console: Console, columns: Sequence[Column] = ()) -> None:
-    """Print the table of runs with its notes; a single run is printed as a list, which fits any terminal."""
-    columns = columns or columns_of(rows)
+    """Print the table of runs with its notes and their folders; a single run is a list, which fits any terminal."""
     document = runs_document(rows, columns)
-    print_document(_as_list(rows[0], columns, document) if len(rows) == 1 else document, console)
+    if len(rows) == 1:
+        print_document(_as_list(rows[0], columns or columns_of(rows), document), console)
+        return
+    print_document(document, console)
+    for label, runs in group_runs(rows).folders() if not columns else ():
+        for seed, place in runs:
+            console.print(f"{label}, seed {seed}: {place}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _as_list(row: Row, columns: Sequence[Column], document: Document) -> Document:
@@ -78,12 +110,20 @@ def _as_list(row: Row, columns: Sequence[Column], document: Document) -> Documen
 
 def shown(column: Column, row: Row) -> str:
     """A cell as people read it; "-" where the value is not known."""
-    value = row.values.get(column.key)
+    value, spread = row.values.get(column.key), row.values.get(f"{column.key}{STD}")
     if value is None:
         return UNKNOWN
-    if column.decimals is not None and isinstance(value, (int, float)):
-        return f"{value:.{column.decimals}f}"
-    return f"{value:,}" if isinstance(value, int) else str(value)
+    return _in_digits(column, value) + ("" if spread is None else f" ± {_in_digits(column, spread)}")
+
+
+def _in_digits(column: Column, value: Any) -> str:
+    if isinstance(value, int):
+        return f"{value:,}" if column.decimals is None else f"{value:.{column.decimals}f}"
+    if not isinstance(value, float):
+        return str(value)
+    # A mean of whole numbers.
+    decimals = (0 if abs(value) >= _WHOLE_FROM else 1) if column.decimals is None else column.decimals
+    return f"{value:,.{decimals}f}" if column.decimals is None else f"{value:.{decimals}f}"
 
 
 def columns_with_values(rows: Sequence[Row], columns: Sequence[Column]) -> list[Column]:

@@ -126,12 +126,15 @@ def test_the_terminal_takes_no_text_for_markup() -> None:
     assert shown.count("[bold]x[/bold]") == 3
 
 
-def test_links_are_seen_from_the_documents_folder() -> None:
-    cell = Cell("1.0", 1, links=(("0", Path("runs/a|b")),))
-    one = replace(document([]), blocks=((Row(("x", "ours"), (Cell(), cell)),),))
+def test_links_to_runs_stand_below_the_notes_as_seen_from_the_documents_folder() -> None:
+    links = (("x", (("0", Path("runs/a|b")), ("1", Path("tables/c")))),)
+    one = replace(document([]), blocks=((Row(("x", "ours"), (Cell(), Cell("1.0", 2))),),), links=links)
     page = MarkdownIt("commonmark").enable("table").render(text_of(one, "md", Path("tables")))
-    assert '1.0 (1: <a href="../runs/a%7Cb">0</a>)' in page
-    assert '1.0 <span>(1: <a href="../runs/a|b">0</a>)</span>' in text_of(one, "html", Path("tables"))
+    assert '<li>Runs of x: <a href="../runs/a%7Cb">0</a> <a href="c">1</a></li>' in page
+    assert ">1.0 (2)</td>" in page
+    page = text_of(one, "html", Path("tables"))
+    assert '<li>Runs of x: <a href="../runs/a|b">0</a> <a href="c">1</a></li>' in page
+    assert "1.0 <span>(2)</span>" in page
 
 
 def test_other_forms_are_refused() -> None:

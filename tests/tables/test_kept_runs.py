@@ -139,7 +139,7 @@ def test_a_run_scored_again_under_another_protocol_counts_as_that(tmp_path: Path
     scores = metrics(801, psnr_db=30.0) | {"protocol": {"name": "default", "alignment": "se3"}}
     make_run(tmp_path / "b", config("03", seed=1), scores)
     text = make_table("ablation", [tmp_path]).text("md", tmp_path)
-    assert "20.00 (1: " in text
+    assert "20.00 (1)" in text
     assert "25.00" not in text
 
 

@@ -240,7 +240,7 @@ def test_a_metric_of_a_users_evaluator(mine: Path, tmp_path: Path, monkeypatch: 
     file = tmp_path / "runs" / "a" / "metrics.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"extra": {"sharpness": 1200}}))
     text = make_table("invented", [tmp_path / "runs"], folders=[str(mine)]).text("md", Path("tables"))
-    assert "| Sharpness [px] | ours | 1,200 (1: [4]" in text
+    assert "| Sharpness [px] | ours | 1,200 (1) |" in text
     assert "| 1201 (\u22121) |" in text
 
 

@@ -212,7 +212,9 @@ def test_the_command_writes_every_form(runs: Path, tmp_path: Path, capsys: pytes
     for name in ("a_done", "b_oom", "c_damaged", "d_begun"):
         assert sum(name in line and "kitti/06" in line for line in printed.splitlines()) == 1
     with pytest.raises(BenchError, match=r"--out x\.pdf: .* one of \.md, \.csv, \.tex, \.html"):
-        table_command.run(argparse.Namespace(places=[str(runs)], out=[Path("x.pdf")], format=None, plugins=[]))
+        table_command.run(
+            argparse.Namespace(places=[str(runs)], out=[Path("x.pdf")], format=None, plugins=[], columns="both")
+        )
 
 
 def test_folders_without_runs_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

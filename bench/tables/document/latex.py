@@ -5,12 +5,17 @@ from __future__ import annotations
 from bench.tables.document.latex_text import latex_text
 from bench.tables.document.model import Cell, Column, Document
 
+# Of the page's height, what a table and its notes may take: a caption of 500 letters takes an eighth of it on a
+# journal's page of two columns, a sixth on LaTeX's own narrow one.
+_HEIGHT = "0.78"
+
 
 def as_latex(document: Document) -> str:
     r"""ASCII that needs ``\usepackage{booktabs}``, and ``\usepackage{graphicx}`` for a document with a title.
 
-    A document with a title is a ``table*``, as wide as the text at most, its first note in the caption and the others
-    below. One without is a ``tabular`` for a float of the author's, its notes in comments above.
+    A document with a title is a ``table*`` that fits its page, in width and with its notes in height: its first note is
+    in the caption, the others below. One without is a ``tabular`` for a float of the author's, its notes in comments
+    above.
     """
     if not document.title:
         comments = [f"% {latex_text(note)}" for note in document.notes]
@@ -23,17 +28,23 @@ def as_latex(document: Document) -> str:
         rf"\caption{{\textbf{{{latex_text(document.title)}.}} {latex_text(first)}}}",
         rf"\label{{tab:{document.name}}}",
         r"\par\medskip",
-        # Shrunk only where it would stand out of the text.
         r"\sbox0{\small\setlength{\tabcolsep}{4pt}%",
         *_tabular(document, "%"),
         r"}%",
-        r"\ifdim\wd0>\textwidth\resizebox{\textwidth}{!}{\usebox0}\else\usebox0\fi",
+        # Shrunk only where it would stand out of the text, first to its width, ...
+        r"\sbox2{\ifdim\wd0>\textwidth\resizebox{\textwidth}{!}{\usebox0}\else\usebox0\fi}%",
+        r"\sbox4{\begin{minipage}{\textwidth}\centering\usebox2",
     ]
     if others:
         # One paragraph: the notes of a main table would not fit its page as lines of their own.
-        lines += [r"\par\smallskip", r"\begin{minipage}{\textwidth}\scriptsize"]
+        lines += [r"\par\smallskip\raggedright\scriptsize"]
         lines += [latex_text(note) for note in others]
-        lines += [r"\end{minipage}"]
+    lines += [
+        r"\end{minipage}}%",
+        # ... then, with its notes, to the height that the caption leaves.
+        rf"\ifdim\dimexpr\ht4+\dp4\relax>{_HEIGHT}\textheight",
+        rf"\resizebox*{{!}}{{{_HEIGHT}\textheight}}{{\usebox4}}\else\usebox4\fi",
+    ]
     return "\n".join([*lines, r"\end{table*}"]) + "\n"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from bench.tables.document.model import UNKNOWN, Cell, Column, Document, on_one_line
 
@@ -11,16 +12,17 @@ _ESCAPED = str.maketrans({"\\": "\\\\", "|": "\\|", "_": "\\_", "*": "\\*", "`":
 
 
 def as_markdown(document: Document) -> str:
-    """Title, table and notes; each number of runs links to them, named by their seeds."""
+    """Title, table and notes, then links to the runs."""
     columns = [*document.left, *document.columns]
     lines = [f"**{escaped(document.title)}**", ""] if document.title else []
     lines += [row([_head(column) for column in columns])]
     lines += ["|" + "".join("---:|" if column.align == "right" else "---|" for column in columns)]
     for block in document.blocks:
         for line in block:
-            cells = [_cell(document, cell, line.kind == "quiet") for cell in line.cells]
+            cells = [_cell(cell, line.kind == "quiet") for cell in line.cells]
             lines.append(row([*map(escaped, line.names), *cells]))
     notes = [f"- {escaped(note)}" for note in document.notes]
+    notes += [f"- Runs of {escaped(of)}: {_links(document, runs)}" for of, runs in document.links]
     return "\n".join([*lines, *([""] if notes else []), *notes]) + "\n"
 
 
@@ -38,14 +40,16 @@ def _head(column: Column) -> str:
     return escaped(f"{column.title} {column.below}".strip())
 
 
-def _cell(document: Document, cell: Cell, quiet: bool) -> str:
+def _cell(cell: Cell, quiet: bool) -> str:
     text = escaped(cell.text)
     if not text:
         return ""
     text = f"**{text}**" if cell.best else f"*{text}*" if quiet and text != UNKNOWN else text
-    links = " ".join(f"[{escaped(name)}](<{_target(document.link(place))}>)" for name, place in cell.links)
-    parts = ": ".join(part for part in (str(cell.n) if cell.n else "", links) if part)
-    return text + (f" ({parts})" if parts else "") + cell.mark
+    return text + (f" ({cell.n})" if cell.n else "") + cell.mark
+
+
+def _links(document: Document, runs: Sequence[tuple[str, Path]]) -> str:
+    return " ".join(f"[{escaped(name)}](<{_target(document.link(place))}>)" for name, place in runs)
 
 
 def _target(link: str) -> str:

@@ -34,7 +34,7 @@ class Cell:
     best: bool = False
     value: float | None = None
     links: tuple[tuple[str, Path], ...] = ()
-    """What leads to each run: how it is called here, and where it is."""
+    """What leads to each run: how it is called here, and where it is; a document has them below its notes."""
 
     @property
     def plain(self) -> str:
@@ -78,6 +78,8 @@ class Document:
     notes: tuple[str, ...]
     data: Data
     folder: Path = field(default_factory=Path)
+    links: tuple[tuple[str, tuple[tuple[str, Path], ...]], ...] = ()
+    """Where the runs are, below the notes: what each line is of, and of each of its runs the name and the place."""
 
     def link(self, path: Path) -> str:
         """A path as seen from the document, with forward slashes."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
+from pathlib import Path
 
 from bench.tables.document.model import Cell, Column, Document, Row
 
@@ -19,14 +20,14 @@ _STYLE = (
     "thead{border-bottom:1px solid}tbody{border-top:1px solid #8886}"
     "tbody:hover{background:#8881}"
     "tr.quiet>*{color:GrayText;font-style:italic}"
-    "td.n a{color:inherit;text-decoration-style:dotted}td.n span{opacity:.75;font-size:.85em}"
+    "li a{color:inherit;text-decoration-style:dotted}td.n span{opacity:.75;font-size:.85em}"
     "div{overflow-x:auto}ul{max-width:70rem;font-size:.88em;padding-left:1.2rem}"
     "@media print{body{margin:0}div{overflow:visible}}"
 )
 
 
 def as_html(document: Document) -> str:
-    """The page; each number of runs links to them, named by their seeds."""
+    """The page, with links to the runs below its notes."""
     title = html.escape(document.title or document.name)
     heads = [_head(column) for column in (*document.left, *document.columns)]
     rows = ["<thead><tr>", *heads, "</tr></thead>"]
@@ -35,6 +36,7 @@ def as_html(document: Document) -> str:
         rows += [_row(document, row, _reach(block[number:])) for number, row in enumerate(block)]
         rows.append("</tbody>")
     notes = "".join(f"<li>{html.escape(note)}</li>\n" for note in document.notes)
+    notes += "".join(f"<li>Runs of {html.escape(of)}: {_links(document, runs)}</li>\n" for of, runs in document.links)
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{_STYLE}</style></head>\n'
@@ -60,7 +62,7 @@ def _row(document: Document, row: Row, reach: int) -> str:
     name = f'<th scope="rowgroup" rowspan="{reach}">{html.escape(first)}</th>' if first else ""
     name += "".join(f"<td>{html.escape(each)}</td>" for each in others)
     columns = zip(document.columns, row.cells, strict=True)
-    cells = "".join(f"<td{_class(column)}>{_cell(document, cell)}</td>" for column, cell in columns)
+    cells = "".join(f"<td{_class(column)}>{_cell(cell)}</td>" for column, cell in columns)
     return f'<tr class="{row.kind}">{name}{cells}</tr>'
 
 
@@ -68,9 +70,11 @@ def _class(column: Column) -> str:
     return ' class="n"' if column.align == "right" else ""
 
 
-def _cell(document: Document, cell: Cell) -> str:
+def _cell(cell: Cell) -> str:
     text = html.escape(cell.text)
-    places = [(name, html.escape(document.link(place))) for name, place in cell.links]
-    links = " ".join(f'<a href="{place}">{html.escape(name)}</a>' for name, place in places)
-    parts = ": ".join(part for part in (str(cell.n) if cell.n else "", links) if part)
-    return (f"<b>{text}</b>" if cell.best else text) + (f" <span>({parts})</span>" if parts else "") + cell.mark
+    return (f"<b>{text}</b>" if cell.best else text) + (f" <span>({cell.n})</span>" if cell.n else "") + cell.mark
+
+
+def _links(document: Document, runs: Sequence[tuple[str, Path]]) -> str:
+    places = ((name, html.escape(document.link(place))) for name, place in runs)
+    return " ".join(f'<a href="{place}">{html.escape(name)}</a>' for name, place in places)

@@ -14,9 +14,9 @@ from bench.tables.collect import Row
 from bench.tables.document.model import UNKNOWN, Cell, Column, Data
 from bench.tables.named.fill import Statistic, choose_runs, statistic
 from bench.tables.named.grid import OURS, Grid, Line, heading, signed, statistic_cell
-from bench.tables.named.settings import scored_config, settings_of
 from bench.tables.records.made import made_in_words
 from bench.tables.records.record import VIEW_GROUPS, RunRecord, is_number
+from bench.tables.records.settings import scored_config, settings_of
 from bench.tables.render import footnotes
 
 METRICS = ("psnr_db", "ssim", "lpips", "depth_l1_cm", "ate_rmse_m")

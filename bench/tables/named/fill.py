@@ -15,16 +15,9 @@ from bench.tables.named.definitions import NamedTable
 from bench.tables.named.external import with_external_rows
 from bench.tables.named.overrides import row_of
 from bench.tables.named.published import SequenceFacts
-from bench.tables.named.settings import (
-    Settings,
-    common,
-    differing_keys,
-    first_few,
-    scored_config,
-    settings_of,
-    varied_parts,
-)
+from bench.tables.named.settings import common, varied_parts
 from bench.tables.records.record import RunRecord
+from bench.tables.records.settings import Settings, differing_keys, first_few, scored_config, settings_of
 
 Place = tuple[str, str]
 """A row's label and a sequence."""

@@ -16,6 +16,8 @@ from bench.tables.static_camera import NAME as STATIC_CAMERA
 
 DAGGER, CROSS, MINUS = "\u2020", "\u00d7", "\u2212"
 OURS, PAPER, ELSEWHERE, COMPUTED = "ours", "paper", "elsewhere", "computed"
+COLUMNS = ("both", "ours", "paper")
+"""Whose numbers a table may show: those of our runs, of the paper (and what it has from elsewhere), or both."""
 COMPARED = "vs. paper"
 """The paper's number of another method, below ours of a method that the paper does not have."""
 WITHHELD = "withheld"
@@ -93,35 +95,42 @@ def _require_place(table: NamedTable, value: PublishedValue) -> None:
         require_choice(f"{table.file}: a published number has no place in the table: {what}", has, accepted)
 
 
-def build_grid(filled: FilledTable, published: PublishedNumbers) -> Grid:
-    """Blocks in the paper's order, then the static camera and other references; the best of each column marked."""
+def build_grid(filled: FilledTable, published: PublishedNumbers, columns_of: str = "both") -> Grid:
+    """Blocks in the paper's order, then the static camera and other references; the best of each column marked.
+
+    ``columns_of``: whose numbers, one of ``COLUMNS``.
+    """
     table = filled.table
-    builder = _Builder(filled, published)
+    builder = _Builder(filled, published, columns_of)
     blocks = [builder.block(row) for row in table.rows]
-    static = [_static_camera(filled)] if any(metric.key == "ate_rmse_m" for metric in table.metrics) else []
-    references = [builder.reference(method) for method in published.reference_methods()]
+    has_ate = any(metric.key == "ate_rmse_m" for metric in table.metrics)
+    static = [_static_camera(filled)] if has_ate and columns_of != "paper" else []
+    references = published.reference_methods() if columns_of != "ours" else []
+    from_elsewhere = [builder.reference(method) for method in references]
     marked = _mark_best(blocks, PAPER, table.metrics)
     marked = _mark_best(marked, OURS, table.metrics)
     across_sequences = table.across == "sequences"
     columns = [_sequence_column(filled, sequence) for sequence in table.sequences] + [Column("Average", align="right")]
     columns = columns if across_sequences else [Column(heading(metric), align="right") for metric in table.metrics]
-    shown = tuple(_dagger_at_name(block) for block in [*marked, *static, *references] if block)
+    shown = tuple(_dagger_at_name(block) for block in [*marked, *static, *from_elsewhere] if block)
     return Grid(table.name, table.title, tuple(columns), shown, across_sequences)
 
 
 class _Builder:
-    def __init__(self, filled: FilledTable, published: PublishedNumbers) -> None:
+    def __init__(self, filled: FilledTable, published: PublishedNumbers, columns_of: str) -> None:
         self._filled = filled
         self._published = published
+        self._columns_of = columns_of
 
     def block(self, row: MethodRow) -> list[Line]:
         """Lines of a method: ours above the paper's, metric by metric."""
-        can_have_ours = row.overrides or self._filled.has_runs(row.label)
+        can_have_ours = (row.overrides or self._filled.has_runs(row.label)) and self._columns_of != "paper"
         ours = self._lines(OURS, row.label, lambda slot: self._our_cell(row, slot)) if can_have_ours else []
         compared = row.published or row.compared_with
         by = PAPER if row.published else COMPARED
         paper = self._lines(by, row.label, lambda slot: self._paper_cell(row, compared, slot))
-        if not row.published and not any(cell.value is not None for line in ours for cell in line.cells):
+        has_nothing_beside = not any(cell.value is not None for line in ours for cell in line.cells)
+        if self._columns_of == "ours" or (not row.published and has_nothing_beside):
             paper = []
         pairs = zip(ours, paper, strict=True) if ours and paper else ((line,) for line in ours or paper)
         return [line for pair in pairs for line in pair if line.by == OURS or any(cell.text for cell in line.cells)]
@@ -168,7 +177,7 @@ class _Builder:
         """The paper's number, and in brackets how far ours is from it; a dagger is on the method's name."""
         published = self._published_at(method, slot)
         shown = _published_cell(published)
-        ours = self._our_cell(row, slot).value
+        ours = self._our_cell(row, slot).value if self._columns_of == "both" else None
         if published is None or shown.value is None or ours is None:
             return shown
         decimals = len(published.value.partition(".")[2])

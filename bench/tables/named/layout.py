@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal
 
 from bench.tables.document.model import Column, Data, Document, Row
-from bench.tables.named.grid import COMPUTED, ELSEWHERE, OURS, Grid, Line, heading
+from bench.tables.named.grid import COMPUTED, DAGGER, ELSEWHERE, OURS, Grid, Line, heading
 
 _KINDS: dict[str, Literal["ours", "quiet"]] = {OURS: "ours", ELSEWHERE: "quiet", COMPUTED: "quiet"}
 
@@ -23,7 +24,19 @@ def document_of(grid: Grid, notes: Sequence[str], data: Data) -> Document:
         blocks=tuple(_rows(grid, block) for block in grid.blocks),
         notes=tuple(notes),
         data=data,
+        links=_links(grid),
     )
+
+
+def _links(grid: Grid) -> tuple[tuple[str, tuple[tuple[str, Path], ...]], ...]:
+    """Where the runs of each method are, by their seeds, in a table of sequences by sequence and seed."""
+    found: dict[str, dict[str, Path]] = {}
+    for line in (line for block in grid.blocks for line in block):
+        for column, cell in zip(grid.columns, line.cells, strict=True):
+            for seed, place in cell.links:
+                name = f"{column.title}:{seed}" if grid.has_metric_column else seed
+                found.setdefault(line.method.rstrip(DAGGER), {})[name] = place
+    return tuple((method, tuple(runs.items())) for method, runs in found.items())
 
 
 def _rows(grid: Grid, block: Sequence[Line]) -> tuple[Row, ...]:

@@ -27,14 +27,25 @@ _STATED = (
 
 
 def notes(
-    filled: FilledTable, published: PublishedNumbers, grid: Grid, views: str, problems: Sequence[str]
+    filled: FilledTable,
+    published: PublishedNumbers,
+    grid: Grid,
+    views: str,
+    problems: Sequence[str],
+    columns_of: str = "both",
 ) -> list[str]:
-    """One sentence or two each; nothing that depends on when or where the table was made."""
+    """One sentence or two each; nothing that depends on when or where the table was made.
+
+    ``columns_of``: whose numbers the table has.
+    """
     table = filled.table
-    found = [_legend(filled, grid, views)]
-    found += [table.about] if table.about else []
+    found = [_legend(filled, grid, views, columns_of)]
+    found += [table.about] if table.about and columns_of != "ours" else []
     found += _withheld(filled)
+    if columns_of == "paper":
+        return found + _about_published(table, published, grid)
     found += _parts(filled)
+    found += _weak_or_lost(filled)
     found += _protocols(filled)
     found += _settings(filled)
     found += _external(filled)
@@ -51,15 +62,20 @@ def notes(
         runs = "1 run belongs" if filled.left_out == 1 else f"{filled.left_out} runs belong"
         found.append(f"{runs} to no cell of this table.")
     found += [f"Not read: {problem}" for problem in problems]
-    return found + _about_published(table, published, grid)
+    return found + (_about_published(table, published, grid) if columns_of == "both" else [])
 
 
-def _legend(filled: FilledTable, grid: Grid, views: str) -> str:
+_LEGENDS = {
+    "both": "Lines ours: mean ± sample standard deviation over seeds (number of runs); below it the paper's number, "
+    "and in brackets ours minus the paper's. Bold: the best of the paper's numbers, and the best of ours.",
+    "ours": "Lines ours: mean ± sample standard deviation over seeds (number of runs). Bold: the best.",
+    "paper": "Numbers as they were published. Bold: the best.",
+}
+
+
+def _legend(filled: FilledTable, grid: Grid, views: str, columns_of: str) -> str:
     cells = [cell for block in grid.blocks for line in block for cell in line.cells]
-    text = (
-        "Lines ours: mean ± sample standard deviation over seeds (number of runs); below it the paper's number, and in "
-        "brackets ours minus the paper's. Bold: the best of the paper's numbers, and the best of ours."
-    )
+    text = _LEGENDS[columns_of]
     if any(column.below for column in grid.columns):
         text += " Below a sequence: km/frames, as in the paper."
     if any(DAGGER in line.method for block in grid.blocks for line in block) or any(cell.mark for cell in cells):
@@ -68,7 +84,11 @@ def _legend(filled: FilledTable, grid: Grid, views: str) -> str:
         text += f" {CROSS} out of memory."
     if any(cell.text == "n/r" for cell in cells):
         text += " n/r: not reported."
-    if filled.cells and any(metric.path.startswith("views.left.") for metric in filled.table.metrics):
+    if (
+        columns_of != "paper"
+        and filled.cells
+        and any(metric.path.startswith("views.left.") for metric in filled.table.metrics)
+    ):
         text += f" Our image and depth metrics are of {VIEW_GROUPS[views]}."
     return text
 
@@ -84,6 +104,19 @@ def _parts(filled: FilledTable) -> list[str]:
         if cell.is_part:
             by_amount[f"{cell.frames} of {filled.facts[sequence].frames} frames of {sequence}"].append(row)
     return [f"{DAGGER} {amount}: {', '.join(rows)}." for amount, rows in by_amount.items()]
+
+
+def _weak_or_lost(filled: FilledTable) -> list[str]:
+    """Of which runs frames were tracked badly or not at all, or that it was none."""
+    found, known = [], False
+    for where, run in _shown_runs(filled):
+        weak, lost = (run.part("frames").get(state) for state in ("weak", "lost"))
+        if isinstance(weak, int) and isinstance(lost, int):
+            known = True
+            found += [f"{where}: {weak} weak, {lost} lost of {run.frames}"] if weak or lost else []
+    if not known:
+        return []
+    return [f"Frames that were tracked weakly, or lost: {'; '.join(found) or 'none'}."]
 
 
 def _protocols(filled: FilledTable) -> list[str]:

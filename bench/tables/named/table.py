@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench.errors import require_choice
+from bench.errors import BenchError, require_choice
 from bench.tables.document.forms import FORMS, save, text_of
 from bench.tables.document.model import Document
 from bench.tables.document.terminal import print_document
@@ -35,6 +35,7 @@ class PaperTable:
     runs: KeptRuns
     table: NamedTable | None
     """None: the table of dialects."""
+    columns_of: str = "both"
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -58,24 +59,33 @@ class PaperTable:
         name = self.document.name
         record = folder / f"{name}{SUFFIX}"
         texts = {record: record_text(self.runs)}
-        linked = _table_of(self.table, lead_to(self.runs, record))
+        linked = _table_of(self.table, lead_to(self.runs, record), self.columns_of)
         texts |= {folder / f"{name}.{form}": linked.text(form, folder) for form in forms}
         for file, text in texts.items():
             save(file, text)
         return list(texts)
 
 
-def make_table(name: str, runs: Sequence[Path], views: str | None = None, folders: Sequence[str] = ()) -> PaperTable:
+def make_table(
+    name: str,
+    runs: Sequence[Path],
+    views: str | None = None,
+    folders: Sequence[str] = (),
+    columns_of: str = "both",
+) -> PaperTable:
     """The table ``name`` with the runs in ``runs`` (default ``results/runs``), run folders or record files.
 
     The same runs give the same table. ``views`` says whose image and depth metrics are shown: "left", "heldout" or
-    "right"; None: those of a record file, else "left". ``folders`` are the user's, with tables of theirs. Raises
-    ``BenchError`` for an unknown name, and for a path that holds no run.
+    "right"; None: those of a record file, else "left". ``folders`` are the user's, with tables of theirs.
+    ``columns_of`` says whose numbers: "ours", the "paper"'s or "both". Raises ``BenchError`` for an
+    unknown name, and for a path that holds no run.
     """
     table = None if name == DIALECTS else named_table(name, folders)
     if views is not None:
         require_choice("--views", views, VIEW_GROUPS)
-    return _table_of(table, _of_table(table, read_runs(runs, views)))
+    if table is None and columns_of != "both":
+        raise BenchError(f"--columns {columns_of}: the table {DIALECTS} has no published numbers. Leave it out.")
+    return _table_of(table, _of_table(table, read_runs(runs, views)), columns_of)
 
 
 def _of_table(table: NamedTable | None, found: KeptRuns) -> KeptRuns:
@@ -93,7 +103,7 @@ def _of_table(table: NamedTable | None, found: KeptRuns) -> KeptRuns:
     return replace(found, table=name, runs=tuple(members), others=known + strangers)
 
 
-def _table_of(table: NamedTable | None, found: KeptRuns) -> PaperTable:
+def _table_of(table: NamedTable | None, found: KeptRuns, columns_of: str) -> PaperTable:
     if table is None:
         groups = scored_groups(found.runs)
         about = dialect_notes(groups, found.others, found.views, found.problems)
@@ -102,6 +112,7 @@ def _table_of(table: NamedTable | None, found: KeptRuns) -> PaperTable:
     # Views that the paper's protocol does not have are chosen together with another protocol.
     filled = fill(table, found.runs, found.others, table.protocol if found.views == "left" else "")
     published = PublishedNumbers(table)
-    grid = build_grid(filled, published)
-    about = notes(filled, published, grid, found.views, found.problems)
-    return PaperTable(document_of(grid, about, tidy_data(filled, published)), found, table)
+    grid = build_grid(filled, published, columns_of)
+    about = notes(filled, published, grid, found.views, found.problems, columns_of)
+    data = tidy_data(filled, published, columns_of)
+    return PaperTable(document_of(grid, about, data), found, table, columns_of)

@@ -34,16 +34,17 @@ COLUMNS = (
 )
 
 
-def tidy_data(filled: FilledTable, published: PublishedNumbers) -> Data:
+def tidy_data(filled: FilledTable, published: PublishedNumbers, columns_of: str = "both") -> Data:
     """All numbers of a table. ``by`` is "ours", "paper" or "elsewhere".
 
     ``status`` of ours: "ok"; "dagger" = part of the sequence; "cross" = out of memory; another state of the runs in
-    words; "" = not run. ``runs`` lead to the runs, in the order of ``seeds``.
+    words; "" = not run. ``runs`` lead to the runs, in the order of ``seeds``. ``columns_of``: whose numbers.
     """
-    rows: list[dict[str, Any]] = [_published_row(value, PAPER) for value in published.paper]
-    rows += [_published_row(value, "elsewhere") for value in published.references]
-    table = filled.table
-    for row in table.rows:
+    table, rows = filled.table, list[dict[str, Any]]()
+    if columns_of != "ours":
+        rows += [_published_row(value, PAPER) for value in published.paper]
+        rows += [_published_row(value, "elsewhere") for value in published.references]
+    for row in table.rows if columns_of != "paper" else ():
         if row.overrides is None and not filled.has_runs(row.label):
             continue
         for metric in table.metrics:
