@@ -7,6 +7,7 @@ images are RGB uint8 (H, W, 3); depth and disparity maps are float32 (H, W) with
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -159,6 +160,11 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    def of_frames(self, numbers: Sequence[int]) -> Trajectory:
+        """The part of these frames, as far as they have a pose."""
+        keep = np.isin(self.numbers, numbers)
+        return Trajectory(self.T_world_cam[keep], self.numbers[keep], self.timestamps[keep])
 
     def pose_of(self, number: int) -> Float | None:
         """The 4x4 pose of the frame with this number, or None if it has none."""

@@ -14,7 +14,7 @@ from bench.authoring import probes
 from bench.authoring.poses import require_trajectory
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.io.images import grey
-from bench.types import Image, StereoCamera, StereoFrame
+from bench.types import Image, StereoCamera, StereoFrame, Trajectory
 
 _LEAST_MATCHES = 30
 _WORST_ROW_OFFSET_PX = 1.0
@@ -175,7 +175,9 @@ def _ground_truth(subject: Subject) -> str | Note:
     truth = subject.dataset.ground_truth()
     if truth is None:
         return Note("none: runs have no ATE, and tracker=groundtruth does not work")
-    require_trajectory(truth, subject.dataset.numbers, "ground_truth()", "ground_truth")
+    having = set(np.asarray(truth.numbers).tolist()) if isinstance(truth, Trajectory) else set()
+    numbers = [number for number in subject.dataset.numbers if number in having] or subject.dataset.numbers
+    require_trajectory(truth, numbers, "ground_truth()", "ground_truth")
     T = truth.T_world_cam
     if len(T) < 2:
         return "one pose"

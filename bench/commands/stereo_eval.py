@@ -81,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
     configs = _configs(args.overrides)
     datasets = _datasets(configs)
     console = Console()
+    for text in dict.fromkeys(text for dataset in datasets for text in dataset.to_tell()):
+        console.print(f"warning: {text}", markup=False, highlight=False, soft_wrap=True)
     scored = _score_all(configs, datasets, args.warm_up, console)
     rows = stereo_rows(scored, runs)
     print_table(rows, console, STEREO_COLUMNS)

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from bench.errors import BenchError
+from bench.geometry.principal_point import doubt_about_size
 from bench.types import Map, Mask, StereoCamera, StereoFrame, Trajectory
 
 
@@ -28,8 +29,16 @@ class Dataset(ABC):
     """False for frames without a right image (RGB-D): their depth then comes from a plugin such as stereo=lidar, which
     asks the data set, and the camera's baseline says nothing."""
 
+    remarks: tuple[str, ...] = ()
+    """What a user should know of how the files were read: frames left out, poses joined by number, a scale."""
+
     def __len__(self) -> int:
         return len(self.numbers)
+
+    def to_tell(self) -> tuple[str, ...]:
+        """``remarks``, and a doubt where the camera does not go with the size of the images."""
+        doubt = doubt_about_size(self.camera)
+        return self.remarks if doubt is None else (*self.remarks, doubt)
 
     def require_right(self, part: str, instead: str) -> None:
         """Raise ``BenchError`` that names ``part`` and what to choose instead, where frames have no right image."""
@@ -45,7 +54,7 @@ class Dataset(ABC):
         return self.camera
 
     def ground_truth(self) -> Trajectory | None:
-        """Ground-truth poses of the left camera of the pair in use, for exactly ``self.numbers``, or None."""
+        """Ground-truth poses of the left camera of the pair in use, of the frames that have one, in order; or None."""
         return None
 
     def lidar_depth(self, position: int) -> Map | None:

@@ -12,7 +12,7 @@ from bench.errors import BenchError
 from bench.evaluation.trajectory import MINIMUM_FRAMES
 from bench.io.frame_range import parse_frame_range
 from bench.io.kitti_files import read_kitti_times
-from bench.io.trajectories import read_kitti_poses, read_tum
+from bench.io.trajectories import known_poses, read_kitti_poses, read_tum, values_per_line
 from bench.types import Float, Trajectory
 
 FORMATS = ("auto", "kitti", "tum")
@@ -73,14 +73,7 @@ def read_pair(
 
 def detect_format(path: Path) -> str:
     """ "kitti" or "tum", by the number of values in the file's first line; ``BenchError`` for any other number."""
-    try:
-        with path.open(encoding="utf-8") as file:
-            counts = (len(line.split()) for line in file if line.strip() and not line.lstrip().startswith("#"))
-            count = next(counts, 0)
-    except FileNotFoundError:
-        raise BenchError(f"The trajectory file {path} does not exist. Check the path.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"Can't read the trajectory file {path}: {error}. It must be a text file.") from None
+    count = values_per_line(path)
     if count == 0:
         raise BenchError(f"{path} holds no pose. Expected one per line: 12 numbers (KITTI) or 8 (TUM).")
     if count not in _FORMAT_OF_COLUMNS:
@@ -102,13 +95,18 @@ def _match_lines(estimate_path: Path, truth_path: Path, frames: str) -> Trajecto
             "line: say with --frames FIRST:END which lines of the ground truth the trajectory is for (counted from 0, "
             "END left out), or give TUM files, whose times can be matched when frames were lost."
         )
+    tracked, known = known_poses(estimate), known_poses(truth[numbers])
     return TrajectoryPair(
-        estimate=Trajectory(estimate, numbers, numbers.astype(np.float64)),
-        ground_truth=Trajectory(truth[numbers], numbers, numbers.astype(np.float64)),
+        estimate=_by_line(estimate[tracked], numbers[tracked]),
+        ground_truth=_by_line(truth[numbers][known], numbers[known]),
         outside=len(truth) - len(numbers),
-        without_truth=0,
+        without_truth=int((tracked & ~known).sum()),
         matched_by="line",
     )
+
+
+def _by_line(T: Float, lines: npt.NDArray[np.int64]) -> Trajectory:
+    return Trajectory(T, lines, lines.astype(np.float64))
 
 
 def _chosen(frames: str, there: int, path: Path) -> npt.NDArray[np.int64]:
@@ -129,7 +127,8 @@ def _read_kitti_with_times(path: Path, times_path: Path | None) -> Trajectory:
     poses, times = read_kitti_poses(path), read_kitti_times(times_path)
     if len(times) != len(poses):
         raise BenchError(f"{times_path} has {len(times)} times and {path} {len(poses)} poses; one a pose is needed.")
-    return Trajectory(poses, np.arange(len(poses)), times)
+    known = known_poses(poses)
+    return Trajectory(poses[known], np.flatnonzero(known), times[known])
 
 
 def _match_times(

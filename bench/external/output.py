@@ -24,6 +24,7 @@ from bench.external.pictures import DepthFormat, NotMetricError, check_content, 
 from bench.external.poses import WrittenPoses, read_written_poses
 from bench.external.search import Pictures, search
 from bench.external.settings import ScoreSettings
+from bench.io.trajectories import known_poses
 from bench.runs.config_file import CONFIG_FILE, read_config
 from bench.types import Float, Trajectory
 
@@ -84,9 +85,9 @@ def read_output(folder: Path, settings: ScoreSettings, dataset: Dataset) -> Exte
 
 
 def frame_times(dataset: Dataset) -> Float:
-    """Times of all frames (N,) in seconds; only a data set without ground truth has to decode its frames for them."""
+    """Times of all frames (N,) in seconds; where not each has ground truth, frames have to be decoded for them."""
     truth = dataset.ground_truth()
-    if truth is not None:
+    if truth is not None and len(truth) == len(dataset):
         return truth.timestamps
     return np.array([dataset.frame(position).timestamp for position in range(len(dataset))])
 
@@ -119,7 +120,7 @@ class _Reader:
             return
         written, frames = read_written_poses(path), self._dataset.numbers
         places = self._places(written, str(path))
-        rows = np.flatnonzero(places.positions >= 0)
+        rows = np.flatnonzero((places.positions >= 0) & known_poses(written.T))
         rows = rows[np.argsort(places.positions[rows], kind="stable")]
         at = places.positions[rows]
         T = written.camera_to_world(self._settings.convention, self._settings.axes)[rows]

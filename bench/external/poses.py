@@ -16,6 +16,7 @@ from bench.errors import BenchError
 from bench.evaluation.trajectory_pair import detect_format
 from bench.external.numbering import Numbers
 from bench.geometry import se3
+from bench.io.text_files import read_text
 from bench.io.trajectories import read_kitti_poses, read_tum
 from bench.types import Float
 
@@ -130,7 +131,7 @@ def _splatam(arrays: dict[str, Any], path: Path) -> WrittenPoses:
 def _read_monogs(path: Path) -> WrittenPoses:
     """Ids of keyframes and their camera-to-world poses: ``{"trj_id": [...], "trj_est": [...], ...}``."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path))
         numbers = np.array(content["trj_id"], dtype=np.int64)
         T = np.array(content["trj_est"], dtype=np.float64)
     except (OSError, ValueError, KeyError, TypeError) as error:

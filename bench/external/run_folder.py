@@ -33,7 +33,6 @@ from bench.runs.folder import (
 from bench.runs.provenance import collect_provenance
 from bench.runs.status import read_status
 from bench.runs.trajectory_csv import as_csv
-from bench.types import Trajectory
 
 NOT_TRACKED, UNKNOWN = "lost", "unknown"
 """States of frames: without a pose in the trajectory, and where there is no trajectory to tell."""
@@ -79,7 +78,7 @@ def write_run(
         folder.write_frames(rows)
         truth = dataset.ground_truth()
         if truth is not None:
-            truth = Trajectory(truth.T_world_cam[:count], truth.numbers[:count], truth.timestamps[:count])
+            truth = truth.of_frames(dataset.numbers[:count])
             write_text(staging / GROUND_TRUTH_FILE, as_csv(truth))
         if output.trajectory is not None:
             folder.write_trajectory(output.trajectory, truth)

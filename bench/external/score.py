@@ -63,7 +63,7 @@ def score_folder(
     if path.resolve().is_relative_to(folder.resolve()):
         raise BenchError(f"--output {path} lies in the folder that is scored. Give another place.")
     was_there = is_there(path, config, config_hash)
-    for line in output.about:
+    for line in (*output.about, *(f"warning: {text}" for text in dataset.to_tell())):
         tell(line)
     if settings.status == "done" and composed.protocol.holdout_every and not settings.held_out:
         tell("held-out frames: not scored apart; say --held-out if the system's map never saw them")

@@ -11,6 +11,7 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]  # comes with omegaconf
 
 from bench.errors import BenchError, did_you_mean, require_choice
+from bench.io.text_files import read_text
 
 SETTINGS_FILE = "score.yaml"
 NONE = "none"
@@ -109,8 +110,8 @@ def _check_type(path: Path, key: str, value: Any, annotation: str) -> None:
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        content = yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
         raise BenchError(f"{path} can't be read: {' '.join(str(error).split())}. Repair it, or delete it.") from error
     if content is None:
         return {}

@@ -157,3 +157,10 @@ def quaternion_product(p: Float, q: Float) -> Float:
         ],
         -1,
     )
+
+
+def interpolate(T: Float, later: Float, fraction: Float) -> Float:
+    """Poses (..., 4, 4) between ``T`` (fraction 0) and ``later`` (1): straight centre, even turn about one axis."""
+    turn = so3_log(np.swapaxes(T[..., :3, :3], -1, -2) @ later[..., :3, :3])
+    R = T[..., :3, :3] @ so3_exp(fraction[..., None] * turn)
+    return compose(R, T[..., :3, 3] + fraction[..., None] * (later[..., :3, 3] - T[..., :3, 3]))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -22,6 +24,18 @@ _JPEG_END = b"\xff\xd9"
 _JPEG_SIZE_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # Encoders may pad a file behind its end marker, so the marker is looked for in the last bytes.
 _TAIL_BYTES = 64
+# EXIF's turn of a picture is for people who look at it: the calibration is of the pixels as they are stored.
+_AS_STORED = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
+_FULL_BITS = 16
+# Bits of the cameras that write 16-bit files; 8 is that of files converted from 8 bits.
+_CAMERA_BITS = (8, 10, 12, 14)
+_DECODED_AT_ONCE = 32
+
+
+def describe_files(files: Sequence[Path]) -> str:
+    """What a folder holds in place of the images looked for, for example ``"5 .tif, 1 .txt"``."""
+    counts = Counter(file.suffix or "without extension" for file in files if file.is_file())
+    return ", ".join(f"{count} {suffix}" for suffix, count in counts.most_common(4)) or "no file"
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -87,23 +101,88 @@ def require_one_size(paths: Iterable[Path]) -> tuple[int, int]:
     return first[1]
 
 
-def read_rgb(path: Path, size: tuple[int, int]) -> Image:
-    """Decode an image to RGB uint8 (H, W, 3); a grey image becomes three equal channels.
+class ImageSequence:
+    """The images of a sequence: one ``size`` (width, height), and one scale from what is stored to 8 bits.
 
-    ``size`` is the (width, height) that the sequence promises. Raises ``BenchError`` on damage and on another size.
+    ``remarks`` says what a user should know of that scale.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        """Check all headers; ``BenchError`` names the first image that is damaged or of another size than the first."""
+        self.size = require_one_size(paths)
+        deep = [path for path in paths if _is_16_bit(path)]
+        self._bits, self.remarks = (_FULL_BITS, ()) if not deep else _bits_in_use(deep)
+
+    def read(self, path: Path) -> Image:
+        """Decode an image of the sequence, as ``read_rgb``."""
+        return read_rgb(path, self.size, self._bits)
+
+
+def _is_16_bit(path: Path) -> bool:
+    with path.open("rb") as file:
+        start = file.read(25)
+    return start.startswith(_PNG_START) and start[24] == _FULL_BITS
+
+
+def _bits_in_use(paths: Sequence[Path]) -> tuple[int, tuple[str, ...]]:
+    """Bits that hold the values of these 16-bit PNGs: as a file says (sBIT), else the fewest that hold the largest."""
+    largest = 0
+    with ThreadPoolExecutor() as pool:
+        for at in range(0, len(paths), _DECODED_AT_ONCE):
+            largest = max(largest, *pool.map(_largest_value, paths[at : at + _DECODED_AT_ONCE]))
+            if largest >= 1 << _CAMERA_BITS[-1]:
+                return _FULL_BITS, ()
+    said = max(map(_significant_bits, paths))
+    # By PNG's rules samples fill all 16 bits whatever sBIT says; many writers leave them in the low ones.
+    candidates = (said,) if said and largest < 1 << said else _CAMERA_BITS
+    bits = next((bits for bits in candidates if 0 < largest < 1 << bits), _FULL_BITS)
+    if bits == _FULL_BITS:
+        return bits, ()
+    return bits, (
+        f"the 16-bit images in {paths[0].parent} use {bits} bits (largest value {largest}): all images are read as "
+        f"{bits}-bit ones, value / {1 << bits - 8}",
+    )
+
+
+def _largest_value(path: Path) -> int:
+    stored = cv2.imdecode(np.fromfile(path, dtype=np.uint8), _AS_STORED | cv2.IMREAD_ANYDEPTH)
+    # A damaged image is told when its frame is read.
+    return 0 if stored is None else int(stored.max())
+
+
+def _significant_bits(path: Path) -> int:
+    """The largest number in a PNG's sBIT chunk, which comes before its pixels; 0 where there is none."""
+    with path.open("rb") as file:
+        file.seek(len(_PNG_START))
+        while len(head := file.read(8)) == 8 and head[4:] not in (b"IDAT", b"PLTE"):
+            length = int.from_bytes(head[:4], "big")
+            if head[4:] == b"sBIT":
+                return max(file.read(length), default=0)
+            file.seek(length + 4, os.SEEK_CUR)
+    return 0
+
+
+def read_rgb(path: Path, size: tuple[int, int], bits: int = _FULL_BITS) -> Image:
+    """Decode an image to RGB uint8 (H, W, 3) as it is stored; a grey image becomes three equal channels.
+
+    ``size`` is the (width, height) that the sequence promises; of a 16-bit PNG the upper 8 of its low ``bits`` count.
+    Alpha is left out, EXIF's orientation is not applied. Raises ``BenchError`` on damage and on another size.
     """
     # File bytes are read here and not by OpenCV, which prints its own warnings about files that it can't open.
     try:
         data = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise BenchError(f"The image {path} can't be read: {error.strerror}. Restore the file.") from None
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB) if data.size else None
+    flags = _AS_STORED if bits == _FULL_BITS else _AS_STORED | cv2.IMREAD_ANYDEPTH
+    image = cv2.imdecode(data, flags) if data.size else None
     if image is None:
         raise BenchError(f"The image {path} is damaged and can't be decoded. Copy or download it again.")
     if (image.shape[1], image.shape[0]) != size:
         raise BenchError(
             f"The image {path} is {image.shape[1]}x{image.shape[0]} pixels; expected {size[0]}x{size[1]}. Replace it."
         )
+    if image.dtype == np.uint16:
+        image = image.astype(np.uint16) >> (bits - 8)
     return np.asarray(image, dtype=np.uint8)
 
 

@@ -144,9 +144,7 @@ class NumberedPoses:
         before = np.maximum(after - 1, 0)
         a, b = self.T[before], self.T[after]
         fraction = (ids - self.ids[before]) / np.maximum(self.ids[after] - self.ids[before], 1)
-        turn = se3.so3_log(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3])
-        R = a[:, :3, :3] @ se3.so3_exp(fraction[:, None] * turn)
-        T = se3.compose(R, a[:, :3, 3] + fraction[:, None] * (b[:, :3, 3] - a[:, :3, 3]))
+        T = se3.interpolate(a, b, fraction)
         own = self.has(ids)
         T[own] = self.T[np.searchsorted(self.ids, ids[own])]
         return T

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from bench.errors import BenchError
+from bench.io.text_files import read_text
 from bench.types import Float
 
 
 def read_lines(path: Path) -> list[str]:
     """The file's lines without trailing empty ones; ``BenchError`` if it can't be read as text."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
-        raise BenchError(f"The file {path} is missing. Restore it from the data set.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"The file {path} can't be read as text ({error}). Restore it from the data set.") from None
-    while lines and not lines[-1].strip():
-        lines.pop()
-    return lines
+    return read_text(path).rstrip().splitlines()
 
 
 def parse_numbers(text: str, count: int, path: Path, line: int) -> Float:
@@ -46,8 +40,13 @@ def _is_number(word: str) -> bool:
     return True
 
 
+# Some converted copies of the data set call the line of the LiDAR as KITTI's other benchmarks do.
+_MATRIX = re.compile(r"P_rect_0(?P<raw>\d)|P(?P<odometry>\d)|Tr|Tr_velo_to_cam")
+_RAW_FILE = "calib_cam_to_cam.txt"
+
+
 class KittiCalibration:
-    """``calib.txt``: projections P0..P3 and, where the file has it, the LiDAR's ``Tr``.
+    """``calib.txt``: projections P0..P3 and, where the file has it, the LiDAR's ``Tr``; or KITTI raw's P_rect_00..03.
 
     A projection is P_i = K [I | t_i] with t_i = inv(K) P_i[:, 3], and x_cam_i = x_cam0 + t_i. All three components of
     t_i count: the colour cameras' y and z are millimetres, and P_i[0, 3] / f is off by 0.5 % of the baseline.
@@ -56,6 +55,7 @@ class KittiCalibration:
     def __init__(self, path: Path) -> None:
         """Read the file; raises ``BenchError`` with the line number where a line is malformed."""
         self.path = path
+        self._names: list[str] = []
         self._matrices: dict[str, Float] = {}
         for line, text in enumerate(read_lines(path), start=1):
             key, colon, rest = text.partition(":")
@@ -63,16 +63,27 @@ class KittiCalibration:
                 continue
             if not colon:
                 raise BenchError(f"{path}, line {line}: expected 'NAME: 12 numbers'. Restore the file.")
-            self._matrices[key.strip()] = parse_numbers(rest, 12, path, line).reshape(3, 4)
+            self._names.append(key.strip())
+            # Other lines are of other lengths: KITTI raw's of the cameras before rectification, for example.
+            if found := _MATRIX.fullmatch(key.strip()):
+                camera = found["raw"] or found["odometry"]
+                name = "Tr" if camera is None else f"P{camera}"
+                self._matrices[name] = parse_numbers(rest, 12, path, line).reshape(3, 4)
+
+    @classmethod
+    def in_folders(cls, *folders: Path) -> KittiCalibration:
+        """That of the first folder which has a ``calib.txt`` or KITTI raw's ``calib_cam_to_cam.txt``."""
+        places = [folder / name for folder in folders for name in ("calib.txt", _RAW_FILE)]
+        return cls(next((path for path in places if path.is_file()), places[0]))
 
     def projection(self, index: int) -> tuple[Float, Float]:
         """K (3, 3) and t_i (3,) in metres of camera ``index``; ``BenchError`` if P``index`` is absent or singular."""
         P = self._matrices.get(f"P{index}")
         if P is None:
-            have = ", ".join(self._matrices) or "nothing"
+            have = ", ".join(self._names) or "nothing"
             raise BenchError(
-                f"{self.path} has no line 'P{index}:' (it has {have}), which the camera pair needs. Take calib.txt "
-                "from KITTI's data_odometry_calib.zip, or choose the other dataset.camera."
+                f"{self.path} has no line 'P{index}:' or 'P_rect_0{index}:' (it has {have}), which the camera pair "
+                "needs. Take calib.txt from KITTI's data_odometry_calib.zip, or choose the other dataset.camera."
             )
         K = P[:, :3]
         if not (K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1]) and abs(K[0, 1]) < 1e-9):
@@ -81,8 +92,7 @@ class KittiCalibration:
 
     def T_cam0_velodyne(self) -> Float:
         """4x4 rigid transform from the LiDAR's frame to cam0's; ``BenchError`` if ``Tr`` is absent."""
-        # Some converted copies of the data set call the line as KITTI raw does.
-        Tr = self._matrices.get("Tr", self._matrices.get("Tr_velo_to_cam"))
+        Tr = self._matrices.get("Tr")
         if Tr is None:
             raise BenchError(
                 f"{self.path} has no line 'Tr:' although there are velodyne scans. Unpack KITTI's "

@@ -1,7 +1,8 @@
 """Read and write trajectories in KITTI's and TUM's text formats.
 
 KITTI: one pose per line, the twelve numbers of the upper 3x4 of T_world_cam, row by row. TUM: one pose per line,
-``timestamp tx ty tz qx qy qz qw``; empty lines and lines that start with ``#`` are skipped.
+``timestamp tx ty tz qx qy qz qw``; empty lines and lines that start with ``#`` are skipped. A line with NaN or
+infinity, or with nothing but zeros for the rotation, says that the pose of that frame is unknown.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from bench.errors import BenchError
 from bench.geometry import se3
+from bench.io.text_files import read_text
 from bench.types import Float, Trajectory
 
 _ROTATION_TOLERANCE = 1e-2
@@ -19,49 +22,70 @@ _ROTATION_TOLERANCE = 1e-2
 
 
 def read_kitti_poses(path: Path | str) -> Float:
-    """T_world_cam (N, 4, 4) of a KITTI pose file, rotations made orthonormal (files carry 7 digits).
+    """T_world_cam (N, 4, 4) of a KITTI pose file, one per line; NaN where a line says that the pose is unknown.
 
-    Raises ``BenchError`` with the line for anything but twelve finite numbers whose 3x3 block is a rotation.
+    Rotations are made orthonormal (files carry 7 digits). Raises ``BenchError`` with the line for anything but twelve
+    numbers whose 3x3 block is a rotation, and for an empty line between others, as lines count frames.
     """
     path = Path(path)
-    table, lines = _read_table(path, 12, "12 numbers (the 3x4 pose, row by row)", skip_comments=False)
-    T = np.tile(np.eye(4), (len(table), 1, 1))
-    T[:, :3] = table.reshape(-1, 3, 4)
+    table, lines = _read_table(path, 12, "12 numbers (the 3x4 pose, row by row)", lines_count=True)
+    known = _known(table, table.reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9), path)
+    T = np.tile(np.eye(4), (int(known.sum()), 1, 1))
+    T[:, :3] = table[known].reshape(-1, 3, 4)
     R = T[:, :3, :3]
     wrong = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) > _ROTATION_TOLERANCE
     wrong |= np.linalg.det(R) < 0
     if wrong.any():
-        line = lines[int(np.argmax(wrong))]
+        line = lines[int(np.flatnonzero(known)[np.argmax(wrong)])]
         raise BenchError(
             f"{path}, line {line}: the 3x3 part is not a rotation. Expected T_world_cam, row by row: r11 r12 r13 tx ..."
         )
-    return se3.orthonormalise(T)
+    poses = np.full((len(table), 4, 4), np.nan)
+    poses[known] = se3.orthonormalise(T)
+    return poses
+
+
+def known_poses(T: Float) -> npt.NDArray[np.bool_]:
+    """Which of the poses (N, 4, 4) of a file's lines are known, (N,)."""
+    return np.asarray(np.isfinite(T).all(axis=(1, 2)))
 
 
 def read_tum(path: Path | str) -> Trajectory:
-    """Trajectory of a TUM file; ``numbers`` are 0, 1, 2 ... in the order of the lines.
+    """Trajectory of the known poses of a TUM file; ``numbers`` count its poses from 0, the unknown ones too.
 
-    Raises ``BenchError`` with the line for anything but eight finite numbers, a quaternion (x, y, z, w) that is not of
-    unit length, or a time that is not after the one before.
+    Raises ``BenchError`` as ``read_tum_lines``.
+    """
+    times, T = read_tum_lines(path)
+    known = known_poses(T)
+    return Trajectory(T[known], np.flatnonzero(known), times[known])
+
+
+def read_tum_lines(path: Path | str) -> tuple[Float, Float]:
+    """Times (N,) and poses (N, 4, 4) of a TUM file, one per line; NaN where a line says that the pose is unknown.
+
+    Raises ``BenchError`` with the line for anything but eight numbers, a quaternion (x, y, z, w) that is not of unit
+    length, or a time that is not after the one before.
     """
     path = Path(path)
-    table, lines = _read_table(path, 8, "8 numbers: timestamp tx ty tz qx qy qz qw", skip_comments=True)
+    table, lines = _read_table(path, 8, "8 numbers: timestamp tx ty tz qx qy qz qw", lines_count=False)
+    known = _known(table, table[:, 4:], path)
     length = np.linalg.norm(table[:, 4:], axis=1)
-    wrong = np.abs(length - 1.0) > _ROTATION_TOLERANCE
+    wrong = known & (np.abs(length - 1.0) > _ROTATION_TOLERANCE)
     if wrong.any():
         at = int(np.argmax(wrong))
         raise BenchError(
             f"{path}, line {lines[at]}: the quaternion has length {length[at]:.4g}, not 1. Expected qx qy qz qw in the "
             "last four columns."
         )
-    late = np.flatnonzero(np.diff(table[:, 0]) <= 0)
+    late = np.flatnonzero(~(np.diff(table[:, 0], prepend=-np.inf) > 0))
     if len(late):
-        at = int(late[0]) + 1
+        at = int(late[0])
         raise BenchError(
             f"{path}, line {lines[at]}: the timestamp {table[at, 0]} is not after the one before. Sort it by time."
         )
-    T = se3.compose(se3.quaternion_to_rotation(table[:, 4:]), table[:, 1:4])
-    return Trajectory(T, np.arange(len(table)), table[:, 0])
+    T = np.full((len(table), 4, 4), np.nan)
+    T[known] = se3.compose(se3.quaternion_to_rotation(table[known, 4:]), table[known, 1:4])
+    return table[:, 0], T
 
 
 def write_kitti(path: Path | str, poses: Float) -> None:
@@ -82,30 +106,39 @@ def _write(path: Path | str, table: Float) -> None:
     Path(path).write_text(text, encoding="ascii")
 
 
-def _read_table(path: Path, columns: int, expected: str, skip_comments: bool) -> tuple[Float, list[int]]:
-    """Numbers (N, columns) and the 1-based line of each row; raises ``BenchError`` at the first line that is wrong."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise BenchError(f"The trajectory file {path} does not exist. Check the path.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"Can't read the trajectory file {path}: {error}. It must be a text file.") from None
+def _known(table: Float, rotations: Float, path: Path) -> npt.NDArray[np.bool_]:
+    """Which lines hold a pose; ``BenchError`` where none does."""
+    known = np.isfinite(table).all(axis=1) & rotations.any(axis=1)
+    if not known.any():
+        raise BenchError(f"{path} holds no pose: each of its {len(table)} lines is NaN or zero. Check the file.")
+    return np.asarray(known)
+
+
+def _read_table(path: Path, columns: int, expected: str, lines_count: bool) -> tuple[Float, list[int]]:
+    """Numbers (N, columns) and the 1-based line of each row; raises ``BenchError`` at the first line that is wrong.
+
+    Where lines count frames there are no comments, and an empty line between others is wrong.
+    """
     rows: list[list[float]] = []
     lines: list[int] = []
-    for line, content in enumerate(text.splitlines(), start=1):
+    text = read_text(path, "trajectory file")
+    for line, content in enumerate((text.rstrip() if lines_count else text).splitlines(), start=1):
         words = content.split()
-        if not words or (skip_comments and words[0].startswith("#")):
+        if not lines_count and (not words or words[0].startswith("#")):
             continue
         if len(words) != columns:
             raise BenchError(f"{path}, line {line}: found {len(words)} values, expected {expected}.")
         try:
-            row = [float(word) for word in words]
+            rows.append([float(word) for word in words])
         except ValueError as error:
             raise BenchError(f"{path}, line {line}: {error}; expected {expected}.") from None
-        if not np.isfinite(row).all():
-            raise BenchError(f"{path}, line {line}: NaN or infinity in the pose. Remove the line, or repair the file.")
-        rows.append(row)
         lines.append(line)
     if not rows:
         raise BenchError(f"{path} holds no pose. Expected one per line: {expected}.")
     return np.array(rows), lines
+
+
+def values_per_line(path: Path, what: str = "trajectory file") -> int:
+    """How many values the first line has that is neither empty nor a comment: 12 in KITTI's format, 8 in TUM's."""
+    lines = (line.split() for line in read_text(path, what).splitlines())
+    return next((len(words) for words in lines if words and not words[0].startswith("#")), 0)

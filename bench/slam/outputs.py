@@ -106,13 +106,11 @@ def _holds_something(size: dict[str, int], done: Progress) -> bool:
 def _trajectory_so_far(tracker: Tracker, done: Progress) -> Trajectory:
     """The poses of the frames that are done; the front end of an interrupted run may have been ahead of them."""
     trajectory = tracker.trajectory()
-    keep = np.isin(trajectory.numbers, [row["number"] for row in done.rows])
-    return Trajectory(trajectory.T_world_cam[keep], trajectory.numbers[keep], trajectory.timestamps[keep])
+    return trajectory.of_frames([row["number"] for row in done.rows])
 
 
 def _ground_truth_so_far(dataset: Dataset, done: Progress) -> Trajectory | None:
     truth = dataset.ground_truth()
     if truth is None:
         return None
-    n = len(done.rows)
-    return Trajectory(truth.T_world_cam[:n], truth.numbers[:n], truth.timestamps[:n])
+    return truth.of_frames([row["number"] for row in done.rows])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,10 +12,11 @@ from bench.contracts.dataset import Dataset
 from bench.errors import BenchError, require_choice
 from bench.geometry.lidar import project_to_depth
 from bench.io.frame_range import describe, select_frames
-from bench.io.images import read_rgb, require_one_size
+from bench.io.images import IMAGE_SUFFIXES, ImageSequence, describe_files
+from bench.io.kitti360_files import read_image_times
 from bench.io.kitti_files import KittiCalibration, read_kitti_times
 from bench.io.scans import check_scan_file, read_scan
-from bench.io.trajectories import read_kitti_poses
+from bench.io.trajectories import known_poses, read_kitti_poses
 from bench.registry import PluginConfig, register
 from bench.types import Float, Map, StereoCamera, StereoFrame, Trajectory
 
@@ -29,9 +31,9 @@ class KittiConfig(PluginConfig):
     """Which part of KITTI odometry, and by which pair of cameras."""
 
     root: str = field(default="", metadata={"path": True})
-    """Folder that holds ``sequences/`` and ``poses/``; must be given."""
+    """Folder that holds ``sequences/`` and ``poses/``, or a day of KITTI raw; must be given."""
     sequence: str = "06"
-    """Number of the sequence, 00 to 21."""
+    """Number of the sequence, 00 to 21, or the folder of a drive of KITTI raw."""
     frames: str = ""
     """Frame numbers ``a:b`` or ``a:b:step``; empty: all."""
     camera: str = "color"
@@ -55,30 +57,36 @@ class Kitti(Dataset):
         folder = _existing_sequence(root, sequence)
         self.label = f"kitti/{sequence}"
         self._folder = folder
-        self._left, self._right = folder / f"image_{left}", folder / f"image_{right}"
-        self.numbers = _frames_on_disk(self._left, self._right, config)
-        calibration = KittiCalibration(folder / "calib.txt")
+        folders = _image_folder(folder, left, config.camera), _image_folder(folder, right, config.camera)
+        self._left, self._right = (_images_by_number(side) for side in folders)
+        self.numbers = _frames_on_disk(self._left, self._right, folders, config)
+        calibration = KittiCalibration.in_folders(folder, root)
         self._t_left = calibration.projection(left)[1]
         self._T_left_velodyne = self._check_scans(calibration)
-        self._times = self._read_times()
+        self._times = self._read_times(folders[0])
         self._poses = self._read_poses(root / "poses" / f"{sequence}.txt")
-        images = [side / f"{number:06d}.png" for number in self.numbers for side in (self._left, self._right)]
-        self.camera = _stereo_camera(calibration, left, right, require_one_size(images))
+        self._images = ImageSequence([side[number] for number in self.numbers for side in (self._left, self._right)])
+        self.camera = _stereo_camera(calibration, left, right, self._images.size)
+        self.remarks = (*self._images.remarks, *self._about_poses())
 
     def frame(self, position: int) -> StereoFrame:
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
         number = self.numbers[position]
-        size = (self.camera.width, self.camera.height)
-        left, right = (read_rgb(side / f"{number:06d}.png", size) for side in (self._left, self._right))
+        left, right = (self._images.read(side[number]) for side in (self._left, self._right))
         return StereoFrame(number, float(self._times[position]), left, right)
 
     def ground_truth(self) -> Trajectory | None:
-        """Official poses of the left camera of the pair, or None for the sequences that have none (11 to 21)."""
+        """Official poses of the left camera of the pair, or None for the sequences that have none (11 to 21).
+
+        Frames whose line of the pose file is NaN have none.
+        """
         if self._poses is None:
             return None
         T_cam0_left = np.eye(4)
         T_cam0_left[:3, 3] = -self._t_left
-        return Trajectory(self._poses @ T_cam0_left, np.array(self.numbers, dtype=np.int64), self._times.copy())
+        known = known_poses(self._poses)
+        numbers = np.array(self.numbers, dtype=np.int64)
+        return Trajectory(self._poses[known] @ T_cam0_left, numbers[known], self._times[known])
 
     def lidar_depth(self, position: int) -> Map | None:
         """The scan of this frame in the left image, or None where the data set has no scan of it."""
@@ -104,10 +112,17 @@ class Kitti(Dataset):
         T_left_cam0[:3, 3] = self._t_left
         return T_left_cam0 @ calibration.T_cam0_velodyne()
 
-    def _read_times(self) -> Float:
+    def _about_poses(self) -> list[str]:
+        unknown = 0 if self._poses is None else int((~known_poses(self._poses)).sum())
+        return [f"{unknown} of {len(self)} frames have no ground truth (NaN in the pose file)"] if unknown else []
+
+    def _read_times(self, images: Path) -> Float:
         numbers = np.array(self.numbers)
         path = self._folder / "times.txt"
         if not path.is_file():
+            of_raw = images.parent / "timestamps.txt"
+            if of_raw.is_file():
+                return read_image_times(of_raw, self.numbers, sorted(self._left))
             return numbers / _RATE_HZ
         times = read_kitti_times(path)
         if len(times) <= numbers[-1]:
@@ -135,45 +150,69 @@ def _existing_root(text: str) -> Path:
         raise BenchError(
             f"dataset.root={text}: this folder does not exist. Give the one that holds KITTI's sequences/."
         )
-    if not (root / "sequences").is_dir():
+    if not (root / "sequences").is_dir() and not any(root.glob("*/image_0[0-3]")):
         raise BenchError(
-            f"dataset.root={text} holds no folder 'sequences'. Give the root of KITTI's odometry data set."
+            f"dataset.root={text} holds no folder 'sequences', nor drives of KITTI raw. Give the root of KITTI's "
+            "odometry data set."
         )
     return root
 
 
 def _existing_sequence(root: Path, sequence: str) -> Path:
-    folder = root / "sequences" / sequence
+    parent = root / "sequences" if (root / "sequences").is_dir() else root
+    folder = parent / sequence
     if not folder.is_dir():
-        there = sorted(entry.name for entry in (root / "sequences").iterdir() if entry.is_dir())
+        there = sorted(entry.name for entry in parent.iterdir() if entry.is_dir())
         raise BenchError(
-            f"dataset.sequence={sequence} does not exist in {root / 'sequences'}, which holds "
+            f"dataset.sequence={sequence} does not exist in {parent}, which holds "
             f"{', '.join(there) or 'no sequence'}. Choose one of these, or download it."
         )
     return folder
 
 
-def _frames_on_disk(left: Path, right: Path, config: KittiConfig) -> tuple[int, ...]:
-    for folder in (left, right):
-        if not folder.is_dir():
-            raise BenchError(
-                f"The folder {folder} of the {config.camera} pair does not exist. Download it, or choose the other "
-                "dataset.camera (color or gray)."
-            )
-    there = _image_numbers(left)
-    numbers = select_frames(config.frames, there, str(left))
-    there_right = set(_image_numbers(right))
-    missing = [number for number in numbers if number not in there_right]
+def _image_folder(folder: Path, camera: int, pair: str) -> Path:
+    """``image_2`` of the odometry data set, or KITTI raw's ``image_02/data``."""
+    for name in (f"image_{camera}", f"image_0{camera}"):
+        if (folder / name / "data").is_dir():
+            return folder / name / "data"
+        if (folder / name).is_dir():
+            return folder / name
+    raise BenchError(
+        f"The folder {folder / f'image_{camera}'} of the {pair} pair does not exist. Download it, or choose the other "
+        "dataset.camera (color or gray)."
+    )
+
+
+def _images_by_number(folder: Path) -> dict[int, Path]:
+    """PNG and JPEG images whose name is their number, with any number of digits."""
+    images: dict[int, Path] = {}
+    files = sorted(file for file in folder.iterdir() if not file.name.startswith("."))
+    for file in files:
+        if file.suffix.lower() not in IMAGE_SUFFIXES or not file.stem.isdecimal():
+            continue
+        number = int(file.stem)
+        if number in images:
+            raise BenchError(f"{images[number]} and {file.name} both are image {number}. Move one of them away.")
+        images[number] = file
+    if not images:
+        raise BenchError(
+            f"{folder} holds no PNG or JPEG image called by its number, such as 000000.png (it holds "
+            f"{describe_files(files)}). Check dataset.root and dataset.sequence."
+        )
+    return images
+
+
+def _frames_on_disk(
+    left: Mapping[int, Path], right: Mapping[int, Path], folders: tuple[Path, Path], config: KittiConfig
+) -> tuple[int, ...]:
+    numbers = select_frames(config.frames, sorted(left), str(folders[0]))
+    missing = [number for number in numbers if number not in right]
     if missing:
         raise BenchError(
-            f"{right} lacks {describe(missing)}, whose left images are in {left} ({len(there)} left and "
-            f"{len(there_right)} right images). Restore the right images, or choose dataset.frames without them."
+            f"{folders[1]} lacks {describe(missing)}, whose left images are in {folders[0]} ({len(left)} left and "
+            f"{len(right)} right images). Restore the right images, or choose dataset.frames without them."
         )
     return numbers
-
-
-def _image_numbers(folder: Path) -> list[int]:
-    return sorted(int(path.stem) for path in folder.glob("*.png") if path.stem.isdecimal())
 
 
 def _stereo_camera(calibration: KittiCalibration, left: int, right: int, size: tuple[int, int]) -> StereoCamera:

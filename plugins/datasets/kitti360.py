@@ -15,7 +15,7 @@ from bench.geometry import se3
 from bench.geometry.lidar import project_to_depth
 from bench.geometry.scan_motion import compensate_motion
 from bench.io.frame_range import describe, select_frames
-from bench.io.images import read_rgb, require_one_size
+from bench.io.images import ImageSequence
 from bench.io.kitti360_files import Kitti360Calibration, NumberedPoses, read_cam0_poses, read_image_times
 from bench.io.scans import check_scan_file, read_scan
 from bench.registry import PluginConfig, register
@@ -75,8 +75,10 @@ class Kitti360(Dataset):
         asked = select_frames(config.frames, there, str(self._left))
         self.numbers = self._with_poses(asked, config)[: config.first or None]
         _require_right_images(self.numbers, self._left, self._right)
-        images = [side / _image(number) for number in self.numbers for side in (self._left, self._right)]
-        self.camera = calibration.stereo_camera(require_one_size(images))
+        files = [side / _image(number) for number in self.numbers for side in (self._left, self._right)]
+        self._images = ImageSequence(files)
+        self.remarks = self._images.remarks
+        self.camera = calibration.stereo_camera(self._images.size)
         self._times = _times(self._left.parent / "timestamps.txt", self.numbers, there)
         self._scans = root / "data_3d_raw" / drive / "velodyne_points" / "data"
         self._uncurl = config.uncurl
@@ -85,8 +87,7 @@ class Kitti360(Dataset):
     def frame(self, position: int) -> StereoFrame:
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
         number = self.numbers[position]
-        size = (self.camera.width, self.camera.height)
-        left, right = (read_rgb(side / _image(number), size) for side in (self._left, self._right))
+        left, right = (self._images.read(side / _image(number)) for side in (self._left, self._right))
         return StereoFrame(number, float(self._times[position]), left, right)
 
     def ground_truth(self) -> Trajectory | None:

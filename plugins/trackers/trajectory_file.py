@@ -12,7 +12,7 @@ from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError, require_choice
 from bench.geometry.axis_conventions import suspected_convention
-from bench.io.trajectories import read_kitti_poses, read_tum
+from bench.io.trajectories import known_poses, read_kitti_poses, read_tum, read_tum_lines, values_per_line
 from bench.registry import PluginConfig, register
 from bench.types import Float, StereoFrame, TrackingResult, Trajectory
 
@@ -70,10 +70,9 @@ class TrajectoryFile(Tracker):
         self._by_number, self._by_time, self._frames = {}, None, []
         self._seen, self._expected, self._in_gap = 0, len(dataset), False
         if self._format() == "tum":
-            trajectory = read_tum(self._path)
-            poses = trajectory.T_world_cam
+            _, poses = read_tum_lines(self._path)
             if self._config.match != "index":
-                self._by_time = trajectory
+                self._by_time = read_tum(self._path)
                 # The contract has no list of times; the two ends are enough to catch a file of another clock at once.
                 self._check_times(dataset.frame(0).timestamp, dataset.frame(len(dataset) - 1).timestamp)
         else:
@@ -83,8 +82,9 @@ class TrajectoryFile(Tracker):
                 )
             poses = read_kitti_poses(self._path)
         if self._by_time is None:
-            self._by_number = self._indexed(poses, dataset)
-        suspicion = suspected_convention(poses)
+            indexed = self._indexed(poses, dataset)
+            self._by_number = {number: T for number, T in indexed.items() if np.isfinite(T).all()}
+        suspicion = suspected_convention(poses[known_poses(poses)])
         if suspicion is not None:
             log.warning("tracker.path=%s: %s. Convert the file if that is so.", self._path, suspicion)
 
@@ -112,14 +112,7 @@ class TrajectoryFile(Tracker):
     def _format(self) -> str:
         if self._config.format != "auto":
             return self._config.format
-        try:
-            with self._path.open(encoding="utf-8") as file:
-                counts = (len(line.split()) for line in file if line.strip() and not line.lstrip().startswith("#"))
-                count = next(counts, 0)
-        except FileNotFoundError:
-            raise BenchError(f"tracker.path={self._path} does not exist.") from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise BenchError(f"tracker.path={self._path} can't be read as text: {error}.") from None
+        count = values_per_line(self._path)
         formats = {12: "kitti", 8: "tum"}
         if count not in formats:
             raise BenchError(
@@ -162,7 +155,8 @@ class TrajectoryFile(Tracker):
 
     def _gap_at(self, timestamp: float) -> str:
         """What to say of a frame that has no pose: between which poses it lies."""
-        assert self._by_time is not None
+        if self._by_time is None:
+            return f"{self._path} has no pose of it: its line is NaN"
         times = self._by_time.timestamps
         after = int(np.searchsorted(times, timestamp))
         if after == 0:

@@ -157,11 +157,12 @@ BAD_ROOTS: dict[str, tuple[Callable[[Path, Path], None], dict[str, str], str]] =
     "right fewer than left": (drop("image_3/000003.png"), {}, r"image_3 lacks frame 3.*4 left and 3 right"),
     "no P3": (calibration(r"^P3:.*\n", ""), {}, "has no line 'P3:'"),
     "no Tr": (calibration(r"^Tr:.*\n", ""), {}, "has no line 'Tr:'"),
-    "no calibration": (drop("calib.txt"), {}, "calib.txt is missing"),
+    "no calibration": (drop("calib.txt"), {}, "calib.txt does not exist"),
     "eleven numbers": (calibration(r"^(P2:.*) \S+$", r"\1"), {}, r"calib.txt, line 3: 11 numbers, expected 12"),
     "not a number": (calibration(r"^P2: \S+", "P2: abc"), {}, r"calib.txt, line 3: 'abc' is not a number"),
     "few poses": (poses(r"^.*\n\Z", ""), {}, r"04.txt has 3 poses, too few for frame 3"),
-    "NaN pose": (poses(r"\A(.*\n)\S+", r"\1nan"), {}, r"04.txt, line 2: NaN"),
+    "only NaN": (lambda r, f: (r / "poses/04.txt").write_text("nan " * 12 + "\n"), {}, "04.txt holds no pose: each"),
+    "empty line": (poses(r"\A(.*\n)", r"\1\n"), {}, r"04.txt, line 2: found 0 values"),
     "scaled rotation": (poses(r"\A\S+", "1.1"), {}, r"04.txt, line 1: .* rotation"),
     "few times": (lambda r, f: (f / "times.txt").write_text("0.0\n0.1\n"), {}, r"times.txt has 2 times"),
     "times fall": (
@@ -179,7 +180,7 @@ BAD_ROOTS: dict[str, tuple[Callable[[Path, Path], None], dict[str, str], str]] =
 def test_bad_roots_are_named_before_decoding(tmp_path: Path, case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     damage, settings, message = BAD_ROOTS[case]
     damage(tmp_path, write_kitti(tmp_path))
-    monkeypatch.setattr("plugins.datasets.kitti.read_rgb", lambda *_: pytest.fail("decoded an image"))
+    monkeypatch.setattr("bench.io.images.read_rgb", lambda *_: pytest.fail("decoded an image"))
     with pytest.raises(BenchError, match=message) as caught:
         open_kitti(tmp_path, **settings)
     assert "\n" not in str(caught.value)
@@ -205,3 +206,106 @@ def test_damage_that_only_decoding_finds(tmp_path: Path) -> None:
     kitti.frame(0)
     with pytest.raises(BenchError, match=r"000001.png is damaged"):
         kitti.frame(1)
+
+
+def renamed(name: str) -> Callable[[Path], None]:
+    """Each picture again under another name, in the format that the name says."""
+
+    def change(folder: Path) -> None:
+        for old in list(folder.glob("image_*/*.png")):
+            new = name.format(int(old.stem))
+            encoded = cv2.imencode(Path(new).suffix.lower(), cv2.imread(str(old)))[1]
+            old.unlink()
+            (old.parent / new).write_bytes(encoded.tobytes())
+
+    return change
+
+
+def like_raw(folder: Path) -> None:
+    renamed("{:010d}.png")(folder)
+    for camera in (2, 3):
+        (folder / f"image_0{camera}").mkdir()
+        (folder / f"image_{camera}").rename(folder / f"image_0{camera}" / "data")
+
+
+@pytest.mark.parametrize(
+    ("change", "off"),
+    [
+        (renamed("{:06d}.jpg"), 80),
+        (renamed("{:06d}.PNG"), 0),
+        (renamed("{:010d}.jpeg"), 80),
+        (renamed("{}.png"), 0),
+        (like_raw, 0),
+    ],
+    ids=["jpg", "PNG", "ten digits, jpeg", "unpadded", "raw"],
+)
+def test_images_of_other_names_and_formats(tmp_path: Path, change: Callable[[Path], None], off: float) -> None:
+    """Twelve frames, so that the order by number is not that of the alphabet; JPEG keeps little of noise."""
+    folder = write_kitti(tmp_path, frames=12)
+    before = open_kitti(tmp_path).frame(10)
+    change(folder)
+    kitti = open_kitti(tmp_path)
+    assert kitti.numbers == tuple(range(12))
+    assert np.abs(kitti.frame(10).left.astype(int) - before.left).mean() <= off
+    assert kitti.remarks == ()
+
+
+def test_names_that_are_no_numbers_are_counted(tmp_path: Path) -> None:
+    folder = write_kitti(tmp_path)
+    for file in list((folder / "image_2").iterdir()):
+        file.rename(file.with_suffix(".bmp"))
+    with pytest.raises(BenchError, match=r"image_2 holds no PNG or JPEG image .* \(it holds 4 \.bmp\)"):
+        open_kitti(tmp_path)
+    write_image(folder / "image_2" / "000001.png", 1)
+    write_image(folder / "image_2" / "1.jpg", 1)
+    with pytest.raises(BenchError, match=r"000001\.png and 1\.jpg both are image 1"):
+        open_kitti(tmp_path)
+
+
+RAW_CALIBRATION = "calib_time: 09-Jan-2012 13:57:47\ncorner_dist: 9.95e-02\nS_00: 1.392e+03 5.12e+02\nR_00: 1 0 0 0 1\n"
+
+
+def test_a_day_of_kitti_raw(tmp_path: Path) -> None:
+    """Drives, and one calibration for all of them beside these."""
+    folder = write_kitti(tmp_path / "odometry")
+    before = open_kitti(tmp_path / "odometry")
+    like_raw(folder)
+    lines = [f"P_rect_0{line[1:]}" for line in (folder / "calib.txt").read_text().splitlines() if line[0] == "P"]
+    day = tmp_path / "2011_09_26"
+    day.mkdir()
+    (day / "calib_cam_to_cam.txt").write_text(RAW_CALIBRATION + "\n".join(lines) + "\n")
+    drive = folder.rename(day / "2011_09_26_drive_0005_sync")
+    for name in ("calib.txt", "times.txt"):
+        (drive / name).unlink()
+    (drive / "velodyne").rename(drive / "velodyne_points")
+    times = "".join(f"2011-09-26 13:02:25.{n}00000000\n" for n in range(4))
+    (drive / "image_02" / "timestamps.txt").write_text(times)
+    kitti = open_kitti(day, sequence="2011_09_26_drive_0005_sync")
+    assert kitti.camera == before.camera
+    np.testing.assert_allclose([kitti.frame(i).timestamp for i in range(4)], [0.0, 0.1, 0.2, 0.3])
+    assert kitti.ground_truth() is None
+
+
+def test_byte_order_marks_and_frames_without_pose(tmp_path: Path) -> None:
+    folder = write_kitti(tmp_path)
+    poses(r"\A(.*\n)\S+", r"\1nan")(tmp_path, folder)
+    for path in (folder / "calib.txt", folder / "times.txt", tmp_path / "poses" / "04.txt"):
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    kitti = open_kitti(tmp_path)
+    truth = kitti.ground_truth()
+    assert truth is not None
+    assert truth.numbers.tolist() == [0, 2, 3]
+    assert kitti.to_tell() == ("1 of 4 frames have no ground truth (NaN in the pose file)",)
+
+
+def test_half_size_images_are_told(tmp_path: Path) -> None:
+    folder = write_kitti(tmp_path)
+    for path in folder.glob("image_*/*.png"):
+        cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), None, fx=0.5, fy=0.5))
+    (told,) = open_kitti(tmp_path).to_tell()
+    assert "seems to be of images 1.9 times as large" in told
+
+
+@pytest.mark.parametrize("sequence", ["03", "06", "09"])
+def test_nothing_is_told_of_the_real_sequences(kitti_root: Path, sequence: str) -> None:
+    assert Kitti(KittiConfig(root=str(kitti_root), sequence=sequence)).to_tell() == ()

@@ -362,8 +362,12 @@ BAD_ROOTS: dict[str, tuple[Damage, dict[str, Any], str]] = {
         {},
         r"perspective.txt, line 6: .*not a rotation",
     ),
-    "no vehicle calibration": (without("calibration/calib_cam_to_pose.txt"), {}, r"calib_cam_to_pose.txt is missing"),
-    "no LiDAR calibration": (without("calibration/calib_cam_to_velo.txt"), {}, r"calib_cam_to_velo.txt is missing"),
+    "no vehicle calibration": (
+        without("calibration/calib_cam_to_pose.txt"),
+        {},
+        r"calib_cam_to_pose.txt does not exist",
+    ),
+    "no LiDAR calibration": (without("calibration/calib_cam_to_velo.txt"), {}, r"calib_cam_to_velo.txt does not exist"),
     "two lines": (
         lambda r: (r / "calibration/calib_cam_to_velo.txt").write_text("1\n2\n"),
         {},
@@ -411,7 +415,7 @@ def test_bad_roots_are_named_before_decoding(tmp_path: Path, case: str, monkeypa
     damage, settings, message = BAD_ROOTS[case]
     write_kitti360(tmp_path)
     damage(tmp_path)
-    monkeypatch.setattr("plugins.datasets.kitti360.read_rgb", lambda *_: pytest.fail("decoded an image"))
+    monkeypatch.setattr("bench.io.images.read_rgb", lambda *_: pytest.fail("decoded an image"))
     with pytest.raises(BenchError, match=message) as caught:
         open_kitti360(tmp_path, **settings)
     assert "\n" not in str(caught.value)

@@ -154,7 +154,7 @@ def test_files_that_do_not_belong_together(tmp_path: Path) -> None:
         (b"# nothing\n\n", "holds no pose"),
         (b"1 2 3\n", r"has 3 values in its first line; KITTI has 12 and TUM 8"),
         (b"1,0,0,0,0,1,0,0,0,0,1,0\n", "has 1 values in its first line"),
-        (b"\xff\xfe\x00\x01", "It must be a text file"),
+        (b"\xff\xff\x00\x01", "It must be a text file"),
     ],
 )
 def test_files_of_no_known_format(tmp_path: Path, content: bytes | None, message: str) -> None:

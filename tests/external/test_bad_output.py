@@ -73,7 +73,7 @@ def damage(folder: Path, how: str) -> tuple[str, ...]:
         ("two folders", "several folders that fit --renders: eval/rendered_rgb, renders. Name one"),
         ("two trajectories", "holds 2 files that may be the trajectory: est.txt, other.txt. Say --trajectory FILE"),
         ("longer", "est.txt has 11 poses, more than the data set's 8 frames (0 to 7)"),
-        ("nan", "est.txt, line 1: NaN or infinity in the pose"),
+        ("nan", "est.txt holds no pose: each of its 1 lines is NaN"),
         ("link", "gs_0003.png leads out of the folder"),
         ("small depth", "000000.npy has shape (4, 5)"),
         ("pickled depth", "000000.npy can't be read as a NumPy array"),

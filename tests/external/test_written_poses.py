@@ -129,7 +129,7 @@ def test_poses_that_are_none(tmp_path: Path, array: np.ndarray, message: str) ->
         ("trj_final.json", '{"trj_id": [0]}', "can't be read as MonoGS's trajectory"),
         ("trj_final.json", '{"trj_id": [0, 0], "trj_est": [[], []]}', "trj_id needs one number"),
         ("params.npz", "no zip", "can't be read as NumPy arrays"),
-        ("est.txt", "1 0 0 0 0 1 0 0 0 0 1 nan\n", r"est\.txt, line 1: NaN or infinity"),
+        ("est.txt", "1 0 0 0 0 1 0 0 0 0 1 nan\n", r"est\.txt holds no pose"),
         ("est.ckpt", "no pickle", "can't be read without running code"),
     ],
 )

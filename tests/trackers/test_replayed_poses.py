@@ -193,7 +193,6 @@ GOOD = "0.0 0 0 0 0 0 0 1\n"
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (GOOD + "0.1 0 0 nan 0 0 0 1\n", "FILE, line 2: NaN or infinity in the pose."),
         (GOOD + "0.1 0 0 1 0 0 0 2\n", "FILE, line 2: the quaternion has length 2, not 1. Expected qx qy qz qw in"),
         (GOOD + "0.2 0 0 1 0 0 0 1\n0.1 0 0 2 0 0 0 1\n", "FILE, line 3: the timestamp 0.1 is not after the one"),
         (GOOD + GOOD, "FILE, line 2: the timestamp 0.0 is not after the one before. Sort it by time."),
@@ -205,7 +204,7 @@ GOOD = "0.0 0 0 0 0 0 0 1\n"
             "FILE: its times 0, 1, ... are frame numbers, not seconds. Use tracker.match=index, or write times.",
         ),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n" * 19, "FILE has 19 poses, but memory has 20 frames numbered up to 19. It needs"),
-        ("1 0 0 0 0 1 0 0 0 0 1 nan\n" * 20, "FILE, line 1: NaN or infinity in the pose."),
+        ("1 0 0 0 0 1 0 0 0 0 1 nan\n" * 20, "FILE holds no pose: each of its 20 lines is NaN or zero."),
         ("1 0 0 0 0 1 0 0 0 0 2 0\n" * 20, "FILE, line 1: the 3x3 part is not a rotation. Expected T_world_cam"),
     ],
 )
@@ -227,7 +226,7 @@ def test_wrong_settings_are_named(tmp_path: Path, frames: Any) -> None:
         tracker("trajectory_file", path=str(tmp_path / "k.txt"), match="time").start(frames)
     with pytest.raises(BenchError, match=r"needs tracker\.path=FILE"):
         tracker("trajectory_file")
-    with pytest.raises(BenchError, match=r"tracker\.path=.*none\.txt does not exist"):
+    with pytest.raises(BenchError, match=r"none\.txt does not exist"):
         tracker("trajectory_file", path=str(tmp_path / "none.txt")).start(frames)
     (tmp_path / "odd.txt").write_text("1 2 3\n")
     with pytest.raises(BenchError, match=r"has 3 values in its first line; KITTI has 12 and TUM 8"):
