@@ -46,6 +46,7 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
         metrics[DECLARED] = brought
     gaps = about_gaps(run.frames)
     merge(metrics, {"notes": {"output": gaps}} if gaps else {})
+    merge(metrics, {"notes": {"warning": "; ".join(run.status.warnings)}} if run.status.warnings else {})
     _record_weights(run)
     write_text(run.path / PER_FRAME_FILE, run.per_frame().to_csv(index=False))
     write_json(run.path / METRICS_FILE, metrics)

@@ -26,6 +26,8 @@ _IN_WORDS = {
     "map_moved": "the map follows corrected poses: {keyframes} keyframes with {gaussians} Gaussians move by up to "
     "{largest_m:.3f} m and {largest_deg:.3f} degrees",
     "pruned": "frame {frame}: {count} Gaussians pruned",
+    "warning": "{text}",
+    "no_depth": "frame {frame}: {source} knows no depth at all",
 }
 """The kinds of events that the project itself makes, with their values."""
 
@@ -54,7 +56,7 @@ def _level(event: Event) -> int:
     )
     if small_move or event.kind == "pruned":
         return logging.DEBUG
-    return logging.WARNING if event.kind == "lost" else logging.INFO
+    return logging.WARNING if event.kind in ("lost", "warning", "no_depth") else logging.INFO
 
 
 def check_events(events: Sequence[Event], what: str) -> None:

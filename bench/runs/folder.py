@@ -110,12 +110,14 @@ class _LogFile(logging.FileHandler):
 class RunFolder:
     """Writes one run's files, each whole or not at all. Made by ``RunFolder.create``.
 
-    ``already_done`` is True when the folder holds this very run, finished: there is nothing to do.
+    ``already_done`` is True when the folder holds this very run, finished: there is nothing to do. ``warnings`` are the
+    run's so far; its status has them from then on.
     """
 
     def __init__(self, path: Path, already_done: bool) -> None:
         self.path = path
         self.already_done = already_done
+        self.warnings: Sequence[str] = ()
         self._started = ""
         self._told = -math.inf
         # The depth map is compressed beside the colour image: on two cores this nearly halves the time per view.
@@ -169,7 +171,7 @@ class RunFolder:
         ``lost`` holds [first, last] frame number of every stretch without a pose; ``stage`` says what a running run is
         about.
         """
-        status = current_status(state, reason, frames_done, frames_total, lost, self._started, stage)
+        status = current_status(state, reason, frames_done, frames_total, lost, self._started, stage, self.warnings)
         self._started = status.started
         self._told = time.monotonic()
         write_status(self.path, status)

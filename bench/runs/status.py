@@ -28,7 +28,8 @@ class RunStatus:
 
     ``process_started`` (clock ticks since boot, from ``/proc``) tells the process of this run from a later one that was
     given the same number. ``lost_stretches`` holds [first, last] frame number of every stretch without a pose.
-    ``stage`` says what a running run is about: "mapping", "last optimisation", "rendering".
+    ``stage`` says what a running run is about: "mapping", "last optimisation", "rendering". ``warnings`` say what
+    makes the run's numbers doubtful, a sentence each.
     """
 
     state: str
@@ -36,6 +37,7 @@ class RunStatus:
     frames_done: int = 0
     frames_total: int = 0
     lost_stretches: Sequence[Sequence[int]] = ()
+    warnings: Sequence[str] = ()
     stage: str = ""
     pid: int = 0
     started: str = ""
@@ -71,6 +73,7 @@ def current_status(
     lost: Sequence[Sequence[int]],
     started: str,
     stage: str = "",
+    warnings: Sequence[str] = (),
 ) -> RunStatus:
     """The status of this process now; ``started`` is "" on the first call. ``BenchError`` for an unknown state."""
     require_choice("state", state, STATES)
@@ -81,6 +84,7 @@ def current_status(
         frames_done=frames_done,
         frames_total=frames_total,
         lost_stretches=lost,
+        warnings=warnings,
         stage=stage,
         pid=os.getpid(),
         started=started or now,
@@ -109,7 +113,7 @@ def _overwrite(path: Path, status: RunStatus) -> None:
     room = max(path.stat().st_size, _BLOCK)
     content = json.dumps(asdict(status))
     if len(content) > room:
-        content = json.dumps(asdict(replace(status, lost_stretches=(), reason=status.reason[:1000])))
+        content = json.dumps(asdict(replace(status, lost_stretches=(), warnings=(), reason=status.reason[:1000])))
     try:
         with open(path, "r+b") as file:
             file.write(content.encode())

@@ -18,6 +18,7 @@ from bench.errors import BenchError
 from bench.runs.events import check_events
 from bench.slam.prefetch import prefetch
 from bench.slam.system import System
+from bench.tracking.pair_check import PairCheck
 from bench.types import Event, Float, Keyframe, StereoFrame, TrackingResult, Trajectory
 
 
@@ -34,7 +35,12 @@ class Seen:
 
 def front_end(system: System, first: int = 0) -> Generator[Seen, None, None]:
     """Tracking, keyframing, stereo and sky of every frame from position ``first`` on, in order."""
+    check = PairCheck(system.dataset)
+    doubts = [check.about_camera()] if first == 0 else []
     for position, frame in prefetch(system.dataset, first):
+        doubts.append(check.look(position, frame))
+        told = tuple(Event("warning", frame.number, {"text": text}) for text in doubts if text is not None)
+        doubts = []
         start = time.perf_counter()
         tracking = _checked(system.tracker.track(frame), frame, system.tracker)
         cost = cost_of(system.tracker, time.perf_counter() - start)
@@ -52,20 +58,23 @@ def front_end(system: System, first: int = 0) -> Generator[Seen, None, None]:
             "stereo_s": 0.0,
             "stereo_cached": False,
         }
+        events = (*told, *tracking.events)
         if tracking.state == "lost" or row["heldout"]:
-            yield Seen(row, tracking.events)
+            yield Seen(row, events)
             continue
         decision = system.keyframer.update(frame, tracking)
         row["keyframe_reason"] = decision.reason
         row["is_keyframe"] = decision.is_keyframe
         if not (decision.is_keyframe and system.mapper.wants_keyframes):
-            yield Seen(row, tracking.events)
+            yield Seen(row, events)
             continue
         trajectory = system.tracker.trajectory()
         pose = trajectory.pose_of(frame.number)
         assert pose is not None
         keyframe, row["stereo_s"], row["stereo_cached"] = keyframe_of(system, position, frame, pose)
-        yield Seen(row, tracking.events, keyframe, decision.window, trajectory)
+        if not keyframe.depth.known.any():
+            events = (*events, Event("no_depth", frame.number, {"source": keyframe.depth.source}))
+        yield Seen(row, events, keyframe, decision.window, trajectory)
 
 
 def keyframe_of(system: System, position: int, frame: StereoFrame, T_world_cam: Float) -> tuple[Keyframe, float, bool]:

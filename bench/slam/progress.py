@@ -50,6 +50,16 @@ class Progress:
             tell(event)
         self.events += events
 
+    def warnings(self) -> list[str]:
+        """What makes the run's numbers doubtful, a sentence each."""
+        found = [str(event.values["text"]) for event in self.events if event.kind == "warning"]
+        blind = [event for event in self.events if event.kind == "no_depth"]
+        if blind:
+            keyframes = sum(row["mapped"] for row in self.rows)
+            source, first = blind[0].values["source"], blind[0].frame
+            found.append(f"{source} knew no depth at all in {len(blind)} of {keyframes} keyframes, frame {first} first")
+        return found
+
     def resume_from(self, snapshot: Snapshot) -> None:
         """Take over what was done before the break; the clock starts now."""
         self.rows = list(snapshot.rows)

@@ -16,6 +16,7 @@ from typing import Any
 import torch
 
 from bench.config import RunConfig
+from bench.errors import BenchError
 from bench.runs.checkpoint import Checkpoints, Snapshot
 from bench.runs.events import check_events
 from bench.runs.folder import PROVENANCE_FILE, RunFolder
@@ -117,6 +118,7 @@ class _Run:
             self.system, self.done, self._tracking = System.build(self.config), Progress(), True
             self._map_frames(None)
         self.finish_tracking()
+        self._require_tracked()
         self._optimise_at_the_end()
         self.done.wall_s = self.done.elapsed_s()
         self._tell("rendering", now=True)
@@ -144,6 +146,7 @@ class _Run:
                 log.info("resumed from the checkpoint after frame %d of %d", len(snapshot.rows), self.total)
                 resume(self.system, snapshot, stream, self._repeated)
                 self.done.resume_from(snapshot)
+                self.folder.warnings = self.done.warnings()
             resumed = {"resumed_after_frames": self.done.resumed_after()}
             self.folder.write_json(PROVENANCE_FILE, provenance | (resumed if snapshot is not None else {}))
             for seen in stream:
@@ -167,6 +170,16 @@ class _Run:
             row |= _map_keyframe(self.system, done, seen)
         row["mapping_s"] = done.seconds["mapping"] - mapping_before
         done.rows.append(row)
+        if seen.events:
+            self.folder.warnings = done.warnings()
+
+    def _require_tracked(self) -> None:
+        """Raise ``BenchError`` where tracking never worked: the pose that the world begins at is no trajectory."""
+        tracked = sum(row["state"] != "lost" for row in self.done.rows)
+        if self.total <= 2 or tracked > 1:
+            return
+        why = "; ".join(self.done.warnings()) or "See the images, the calibration and log.txt."
+        raise BenchError(f"Tracking was lost in {self.total - tracked} of {self.total} frames: there is no run. {why}")
 
     def _optimise_at_the_end(self) -> None:
         with self.done.timed("mapping"):

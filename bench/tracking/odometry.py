@@ -14,7 +14,6 @@ from bench.tracking import local_ba
 from bench.tracking.features import Grey, Ints, OrbExtractor
 from bench.tracking.local_map import NO_POINT, KeyframeRecord, LocalMap, View
 from bench.tracking.localisation import Localiser, Matches
-from bench.tracking.pair_check import PairCheck
 from bench.tracking.stereo_match import match_stereo
 from bench.types import Float, StereoCamera, TrackingState
 
@@ -45,9 +44,9 @@ class OdometrySettings:
 @dataclass(frozen=True)
 class FramePose:
     """Result for one frame; ``T_world_cam`` is None when lost. ``keyframe`` and ``T_keyframe_cam`` let the pose follow
-    later corrections of its reference keyframe; keyframe -1 = it hangs on none. "weak" with inliers: located, but many
-    matches disagree; "weak" without: predicted, or the beginning of a new map. ``recognised``: the keyframe whose place
-    a lost camera was found at."""
+    later corrections of its reference keyframe; keyframe -1 = it hangs on none. "weak": located, but many matches
+    disagree, or found again at ``recognised``, the keyframe whose place it is. Without an inlier a frame is lost, but
+    for the very first one, whose pose defines the world."""
 
     state: TrackingState
     T_world_cam: Float | None
@@ -79,7 +78,6 @@ class StereoOdometry:
         self._threads = ThreadPoolExecutor(2, thread_name_prefix="orb")
         self._map = LocalMap(camera, settings.free_keyframes, settings.fixed_keyframes, settings.scale_factor)
         self._localiser = Localiser(camera, self._map, settings.octaves, settings.scale_factor, settings.min_inliers)
-        self._pair_check = PairCheck()
         self._T_world_cam = np.eye(4)
         self._velocity = np.zeros(6)
         self._velocity_known = False
@@ -130,14 +128,15 @@ class StereoOdometry:
             result = self._recover(view, predicted) if matches is None else self._advance(view, matches)
         self._remember(result, predicted, elapsed)
         self._timestamp = timestamp
-        return result
+        # What was only predicted serves to go on from, and is no answer.
+        unseen = result.state == "weak" and result.inliers == 0 and result.recognised is None
+        return replace(result, state="lost", T_world_cam=None) if unseen else result
 
     def _observe(self, left: Grey, right: Grey) -> View:
         other = self._threads.submit(self._extractor.extract, right)
         features, pyramid = self._extractor.extract(left)
         right_features, right_pyramid = other.result()
         disparity = match_stereo(features, right_features, pyramid, right_pyramid, self._camera)
-        self._pair_check.look(features, right_features, disparity)
         weight = np.asarray(self._set.scale_factor ** (-2.0 * features.octave), dtype=np.float64)
         return View(features, disparity, weight, self._camera.fx / self._set.stereo_depth_baselines)
 

@@ -48,7 +48,7 @@ class StereoOrbConfig(PluginConfig):
     min_new_map_points: int = 100
     """Stereo points that a frame needs to begin a new map after a loss."""
     bridge_frames: int = 5
-    """Untracked frames that go on at constant velocity ("weak") before the map is given up."""
+    """Frames without inliers (they are lost) that go on at constant velocity before the map is given up."""
     keyframe_translation_m: float = 0.3
     """A frame becomes one of the tracker's own keyframes beyond this motion since the last one ..."""
     keyframe_rotation_deg: float = 2.0
@@ -108,7 +108,7 @@ class StereoOrb(Tracker):
         self._frames = []
 
     def track(self, frame: StereoFrame) -> TrackingResult:
-        """Pose of the frame after local bundle adjustment; "weak" when only predicted, "lost" without a pose."""
+        """Pose of the frame after local bundle adjustment; "weak" where it is doubtful, "lost" without an inlier."""
         assert self._odometry is not None, "start() comes before track()"
         left, right = frame.pair("tracker=stereo_orb", _INSTEAD)
         found = self._odometry.track(grey(left), grey(right), frame.timestamp)

@@ -1,8 +1,7 @@
-"""Images that show nothing, or not what they should: no crash, no NaN, the state says so, and the log says what."""
+"""Images that show nothing, or not what they should: no crash, no NaN, and the state says so."""
 
 from __future__ import annotations
 
-import logging
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,7 @@ import pytest
 
 from bench.io.images import grey
 from bench.registry import lookup
-from bench.tracking.features import Features, OrbExtractor
 from bench.tracking.odometry import StereoOdometry
-from bench.tracking.pair_check import fault_of_pair
 
 pytestmark = pytest.mark.slow
 
@@ -34,9 +31,9 @@ def states(results: list[Any]) -> str:
 def test_two_seconds_without_texture(drive: Any, odometry: Any, value: int) -> None:
     blank = np.full_like(drive.pairs[0][0], value)
     results = run(odometry(), [*drive.pairs[:6], *[(blank, blank)] * 20, *drive.pairs[6:10]])
-    assert states(results) == "o" * 6 + "w" * 5 + "l" * 15 + "w" + "ooo"
+    assert states(results) == "o" * 6 + "l" * 21 + "ooo"
     # The new map begins where the car would be at its old speed; from there the steps are right again.
-    after = np.array([r.T_world_cam[:3, 3] for r in results[-4:]])
+    after = np.array([r.T_world_cam[:3, 3] for r in results[-3:]])
     np.testing.assert_allclose(np.linalg.norm(np.diff(after, axis=0), axis=1), 1.0, atol=0.05)
 
 
@@ -54,43 +51,6 @@ def test_jump_of_five_metres(drive: Any, odometry: Any) -> None:
     assert states(results) == "o" * 9
     # At 292 pixels focal length, the points of one stereo pair 25 m ahead are known to a metre: hence half a metre.
     np.testing.assert_allclose([r.T_world_cam[:3, 3] for r in results], drive.poses[positions, :3, 3], atol=0.6)
-
-
-def test_swapped_images_are_named_once(drive: Any, odometry: Any, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING):
-        results = run(odometry(), [(right, left) for left, right in drive.pairs])
-    assert states(results) == "l" * 24
-    assert len(caplog.records) == 1
-    assert "left and right images seem to be swapped" in caplog.text
-    assert "Swap the two cameras in the data set." in caplog.text
-
-
-@pytest.mark.parametrize(("offset", "side"), [(20, "lower"), (-20, "higher")])
-def test_rows_out_of_line_are_measured(
-    drive: Any, odometry: Any, caplog: pytest.LogCaptureFixture, offset: int, side: str
-) -> None:
-    with caplog.at_level(logging.WARNING):
-        results = run(odometry(), [(left, np.roll(right, offset, axis=0)) for left, right in drive.pairs[:8]])
-    assert states(results) == "l" * 8
-    assert len(caplog.records) == 1
-    words = caplog.records[0].getMessage().split()
-    assert words[words.index("lie") + 2 : words.index("lie") + 4] == ["pixels", side]
-    assert abs(float(words[words.index("lie") + 1]) - 20.0) < 0.5
-
-
-def test_good_pairs_raise_no_warning(drive: Any, odometry: Any, caplog: pytest.LogCaptureFixture) -> None:
-    blank = np.zeros_like(drive.pairs[0][0])
-    with caplog.at_level(logging.WARNING):
-        run(odometry(), [(blank, blank), *drive.pairs[:6]])
-    assert not caplog.records
-
-
-def test_pictures_of_different_places_have_no_named_fault(drive: Any) -> None:
-    rng = np.random.default_rng(0)
-    left, _ = OrbExtractor(500).extract(drive.pairs[0][0])
-    bits = rng.integers(0, 256, (400, 32), dtype=np.uint8).view(np.uint64)
-    right = Features(rng.uniform(0, 190, (400, 2)), np.zeros(400, np.int64), bits)
-    assert fault_of_pair(left, right) is None
 
 
 def test_noise_never_gives_a_wrong_pose_silently(drive: Any, odometry: Any) -> None:
