@@ -72,6 +72,12 @@ class Plugin:
         check = getattr(self.cls, "unavailable_reason", None)
         return check() if check is not None else None
 
+    def missing_weights(self) -> str | None:
+        """What to fetch, and how, before the plugin runs with its default settings, or None; asks
+        ``cls.missing_weights()``, which is quick: it looks for files and reads none."""
+        check = getattr(self.cls, "missing_weights", None)
+        return check() if check is not None else None
+
 
 _plugins: dict[tuple[str, str], Plugin] = {}
 nested_groups: dict[str, str] = {}

@@ -54,20 +54,25 @@ def _print_plugins(kinds: tuple[str, ...]) -> None:
     plugins = [registry.lookup(kind, name) for kind in kinds for name in registry.names(kind)]
     width = max((len(plugin.name) for plugin in plugins), default=0)
     for plugin in plugins:
-        reason = plugin.unavailable_reason()
-        state = "available    " if reason is None else "unavailable  "
-        words = plugin.summary if reason is None else " ".join(reason.split())
-        print(f"{plugin.kind:<10} {plugin.name:<{width}}  {state}{words}")
+        state = _hindrance(plugin).replace("unavailable: ", "unavailable  ") or f"available    {plugin.summary}"
+        print(f"{plugin.kind:<10} {plugin.name:<{width}}  {state}")
     # A file that failed to import may hold any kind of plugin, so each listing shows it.
     for file, why in sorted(registry.broken_files.items()):
         print(f"{'broken':<10} {file}: {' '.join(why.split())}")
 
 
+def _hindrance(plugin: Plugin) -> str:
+    """What is missing before the plugin runs as it is, and how to get it; empty where nothing is."""
+    reason, weights = plugin.unavailable_reason(), plugin.missing_weights()
+    if reason is not None:
+        return f"unavailable: {' '.join(reason.split())}"
+    return f"needs weights: {' '.join(weights.split())}" if weights else ""
+
+
 def _print_plugin(plugin: Plugin) -> None:
-    reason = plugin.unavailable_reason()
     print(f"{plugin.kind}={plugin.name}: {plugin.summary}")
     print(f"file: {plugin.file}")
-    print("available" if reason is None else f"unavailable: {' '.join(reason.split())}")
+    print(_hindrance(plugin) or "available")
     prefix = f"{plugin.kind}.{plugin.name}" if plugin.kind in SEVERAL_AT_ONCE else plugin.kind
     settings = _named(prefix, documented(plugin.config))
     print() if settings else print("no settings")

@@ -86,19 +86,43 @@ def check_disparity(disparity: Map, shape: tuple[int, ...], what: str) -> None:
     if not isinstance(disparity, np.ndarray):
         raise BenchError(f"{what} returned {type(disparity).__name__}; return a float32 numpy array of shape {shape}.")
     if disparity.shape != shape:
+        hint = shape_hint(disparity.shape, shape)
         raise BenchError(
-            f"{what} returned an array of shape {disparity.shape}; expected {shape}, the image's height and width."
+            f"{what} returned an array of shape {disparity.shape}; expected {shape}, the image's height and width"
+            f"{hint and ': '}{hint}."
         )
     if disparity.dtype != np.float32:
         raise BenchError(f"{what} returned dtype {disparity.dtype}; expected float32 (add .astype(np.float32)).")
 
 
-def check_sign(disparity: Map, what: str) -> None:
-    """Raise ``BenchError`` where a map has disparities, but none above zero; all NaN passes."""
+def shape_hint(shape: tuple[int, ...], expected: tuple[int, ...]) -> str:
+    """What a map of another shape than (H, W) probably is, and how to mend it; empty where nothing is likely."""
+    if len(shape) != 2 or shape == expected:
+        return ""
+    if shape == expected[::-1]:
+        return "height and width are exchanged, transpose it"
+    for factor in (2, 4, 8, 16, 32):
+        # A network that pads its input to a multiple may give a cell or two more.
+        if all(0 <= side - full // factor <= 64 / factor for side, full in zip(shape, expected, strict=True)):
+            return (
+                f"it is at 1/{factor} of the size, resize it to the image's size and multiply by {factor} "
+                "(bench.stereo.resizing.resize_disparity does both)"
+            )
+    return ""
+
+
+def check_sign(disparity: Map, what: str, cure: str = "return -d") -> None:
+    """Raise ``BenchError`` where a map has disparities, but none above zero; all NaN passes. ``cure``: of the sign."""
     # NaN compares as false, so the first test also fails where nothing is known: only then is it worth a second look.
     if not (disparity > 0).any() and np.isfinite(disparity).any():
         finite = disparity[np.isfinite(disparity)]
+        if not finite.any():
+            raise BenchError(
+                f"{what} returned no disparity above zero, only 0. Return NaN where nothing is known, np.where(d > 0, "
+                "d, np.nan); of a pair of different images: are the weights loaded?"
+            )
         raise BenchError(
             f"{what} returned no disparity above zero (they reach from {finite.min():.4g} to {finite.max():.4g} px). "
-            "Is its sign wrong, or are left and right exchanged? The left pixel x matches the right pixel x - d, d > 0."
+            f"Is its sign wrong ({cure}), or are left and right exchanged? The left pixel x matches the right "
+            "pixel x - d, d > 0."
         )

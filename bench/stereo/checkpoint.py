@@ -10,9 +10,12 @@ from typing import Any
 import torch
 
 from bench.errors import BenchError
+from bench.weights.no_weights import what_it_is
 
 # Under which key training scripts save the network's tensors, beside the epoch, the optimizer and the like.
-_WRAPPERS = ("state_dict", "model_state_dict", "model")
+_WRAPPERS = ("state_dict", "model_state_dict", "model", "net", "network", "params", "weights")
+# How deep such keys may lie in each other.
+_DEPTH = 4
 _SHOWN = 3
 # Counted by batch normalisation in training and never read afterwards; older checkpoints lack it.
 _COUNTER = "num_batches_tracked"
@@ -37,12 +40,18 @@ def load_state(path: Path) -> dict[str, torch.Tensor]:
                 "would run code from the file. Load it with the network's own code, save `model.state_dict()` with "
                 "torch.save, and give that file."
             ) from error
+        damaged = "it is damaged, or no file of torch.save (an ONNX file is for stereo=onnx). Fetch it again"
         raise BenchError(
-            f"The checkpoint {path} can't be read: it is damaged, or no file of torch.save "
-            f"({type(error).__name__}). Fetch it again."
+            f"The checkpoint {path} can't be read: {what_it_is(path) or damaged} ({type(error).__name__})."
         ) from error
     state = _tensors(content)
     if not state:
+        several = [str(key) for key in content if _tensors(content[key])] if isinstance(content, Mapping) else []
+        if several:
+            raise BenchError(
+                f"The checkpoint {path} holds several sets of tensors ({_first(several)}). Save the one that is "
+                f"wanted: torch.save(torch.load(path)['{several[0]}'], 'net.pth')."
+            )
         keys = f" with the keys {_first(list(content))}" if isinstance(content, Mapping) else ""
         raise BenchError(
             f"The checkpoint {path} holds a {type(content).__name__}{keys}, but no tensors by name. Give a file made "
@@ -59,7 +68,8 @@ def fit_state(
     ``ignore`` holds prefixes of keys in the file for parts that the network does without. ``path`` is for the message.
     """
     wanted = network.state_dict()
-    offered = {key: value for key, value in state.items() if not key.startswith(tuple(ignore))}
+    offered = _without_prefix(dict(state), wanted)
+    offered = {key: value for key, value in offered.items() if not key.startswith(tuple(ignore))}
     missing = [key for key in wanted if key not in offered and not key.endswith(_COUNTER)]
     unexpected = [key for key in offered if key not in wanted]
     reshaped = [
@@ -80,18 +90,35 @@ def fit_state(
     network.load_state_dict(offered, strict=False)
 
 
-def _tensors(content: Any) -> dict[str, torch.Tensor]:
-    """The named tensors in what a file held: those under a known key if there is one, else those at the top."""
-    if not isinstance(content, Mapping):
+def _tensors(content: Any, depth: int = _DEPTH) -> dict[str, torch.Tensor]:
+    """The named tensors in what a file held: those under a known key if there is one, else those at the top, else those
+    of the only dict that holds some."""
+    if not isinstance(content, Mapping) or not depth:
         return {}
+    # An optimizer's tensors are no network.
+    others = {str(key): value for key, value in content.items() if "optim" not in str(key)}
+    inside = {key: found for key, value in others.items() if (found := _tensors(value, depth - 1))}
     for key in _WRAPPERS:
-        if isinstance(content.get(key), Mapping):
-            content = content[key]
-            break
+        if key in inside:
+            return inside[key]
     tensors = {str(key): value for key, value in content.items() if isinstance(value, torch.Tensor)}
+    if not tensors and len(inside) == 1:
+        return next(iter(inside.values()))
     if all(key.startswith("module.") for key in tensors):
         return {key.removeprefix("module."): value for key, value in tensors.items()}
     return tensors
+
+
+def _without_prefix(state: dict[str, torch.Tensor], wanted: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """The state without what a wrapper (Lightning's "model.", "_orig_mod." of torch.compile) put before all keys, where
+    only so they are the network's."""
+    shorter = state
+    while shorter and not any(key in wanted for key in shorter):
+        first = {key.partition(".")[0] for key in shorter}
+        if len(first) > 1 or not all("." in key for key in shorter):
+            return state
+        shorter = {key.partition(".")[2]: value for key, value in shorter.items()}
+    return shorter
 
 
 def _first(names: Sequence[Any]) -> str:

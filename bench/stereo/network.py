@@ -69,6 +69,11 @@ class StereoNetwork(StereoBackbone):
         """The network's file of weights, if it has one."""
         return {} if self.weights_path is None else {"network": self.weights_path}
 
+    @property
+    def sign_cure(self) -> str:
+        """What to do about a network whose disparities are all negative."""
+        return "return -d"
+
     @abstractmethod
     def match(self, left: Image, right: Image) -> Map | Matched:
         """Disparity (H, W) float32 of the left image, in pixels of the images given here, NaN where unknown; from a
@@ -105,13 +110,16 @@ class StereoNetwork(StereoBackbone):
             rows, overlap = self._settings.tile_rows, self._settings.tile_overlap
             matcher = partial(tiled, matcher, rows=rows, overlap=overlap)
         disparity, confidence = matcher(left, right)
-        check_sign(disparity, f"{type(self).__name__}.match")
+        check_sign(disparity, f"{type(self).__name__}.match", self.sign_cure)
         known = (disparity > 0) & np.isfinite(disparity)
         if not known.any():
             weights = f", or the weights {self.weights_path} are damaged" if self.weights_path else ""
+            dtype = self._settings.dtype
+            overflow = f"it overflows in dtype={dtype} (try stereo.dtype=float32)"
+            computed = "it divides by zero, or the images are not normalised as in training"
             raise BenchError(
-                f"{type(self).__name__} returned no number at all, only NaN: it overflows in dtype="
-                f"{self._settings.dtype} (try stereo.dtype=float32){weights}."
+                f"{type(self).__name__} returned no number at all, only NaN: "
+                f"{computed if dtype == 'float32' else overflow}{weights}."
             )
         return Matched(np.where(known, disparity, np.float32(np.nan)), confidence)
 

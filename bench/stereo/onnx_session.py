@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,15 @@ import torch
 
 from bench.errors import BenchError, did_you_mean
 from bench.stereo.device import choose_device
+from bench.weights.no_weights import what_it_is
 
-# Element types of images and disparities that a graph may have.
-ELEMENT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64}
+# Element types of images that a graph may take; quantised networks take whole numbers.
+ELEMENT_TYPES: dict[str, type[np.number[Any]]] = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    **{f"tensor({each.__name__})": each for each in (np.uint8, np.int8, np.uint16, np.int16, np.int32, np.int64)},
+}
 
 
 def open_session(path: Path, device: str, threads: int) -> Any:
@@ -35,13 +42,12 @@ def open_session(path: Path, device: str, threads: int) -> Any:
         return onnxruntime.InferenceSession(str(path), options, providers=_providers(device, onnxruntime))
     # onnxruntime raises a dozen own classes, none of them public.
     except Exception as error:
-        raise BenchError(
-            f"onnxruntime can't open {path}: {_first_line(error)}. Is it an ONNX file, with the side files (*.data) "
-            "that it names beside it?"
-        ) from error
+        reason = _first_line(error)
+        unknown = f"{reason}. Is it an ONNX file, with the side files (*.data) that it names beside it?"
+        raise BenchError(f"onnxruntime can't open {path}: {what_it_is(path) or unknown}") from error
 
 
-def find_tensor(tensors: list[Any], wanted: str, setting: str, path: Path) -> Any:
+def find_tensor(tensors: Sequence[Any], wanted: str, setting: str, path: Path) -> Any:
     """The input or output called ``wanted``, or at that position ("0", ...); ``BenchError`` lists what there is."""
     names = [tensor.name for tensor in tensors]
     if wanted in names:
@@ -67,8 +73,8 @@ def run_session(session: Any, outputs: list[str], feed: dict[str, Any], path: Pa
     except Exception as error:
         fed = ", ".join(f"'{name}' {value.shape} {value.dtype}" for name, value in feed.items())
         raise BenchError(
-            f"{path} can't compute with {fed}: {_first_line(error)}. Does stereo.preset, or fit, pad_multiple and "
-            "layout, describe this network?"
+            f"{path} can't compute with {fed}: {_first_line(error)}. Do stereo.fit, pad_multiple, layout and "
+            "grey describe this network?"
         ) from error
     return answer
 

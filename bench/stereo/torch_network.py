@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from bench.contracts.stereo import shape_hint
 from bench.errors import BenchError
 from bench.stereo.device import choose_device, choose_dtype
 from bench.stereo.network import NetworkConfig, StereoNetwork
@@ -85,9 +86,10 @@ class TorchStereo(StereoNetwork):
         if not isinstance(output, torch.Tensor):
             raise BenchError(f"{what} returned {type(output).__name__}; return a tensor (1, 1, H, W) of disparities.")
         if tuple(output.shape[-2:]) != shape or output.numel() != shape[0] * shape[1]:
+            hint = shape_hint(tuple(output.squeeze().shape), shape)
             raise BenchError(
                 f"{what} returned a tensor of shape {tuple(output.shape)}; expected (1, 1, {shape[0]}, {shape[1]}), "
-                "one disparity per pixel of the padded image."
+                f"one disparity per pixel of the padded image{hint and ': '}{hint}."
             )
         values: Map = output.reshape(shape).float().cpu().numpy()
         return values

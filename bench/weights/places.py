@@ -65,6 +65,18 @@ def resolve(name: str) -> Path:
     )
 
 
+def missing(name: str) -> str | None:
+    """How to get the manifest's weights ``name`` where they are not on this machine; None where they are."""
+    try:
+        return None if locate(name) is not None else _as_clause(how_to_get(entry(name)))
+    except BenchError as error:
+        return str(error)
+
+
+def _as_clause(sentence: str) -> str:
+    return sentence[0].lower() + sentence[1:].rstrip(".")
+
+
 def how_to_get(weights: Weights) -> str:
     """One sentence: the command that fetches the file, or the page, the file and the place for it."""
     if isinstance(weights.source, ByHand):

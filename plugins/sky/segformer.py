@@ -20,7 +20,7 @@ from bench.sky.near import NearLimit
 from bench.sky.onnx_network import OnnxNetwork, missing_onnxruntime, normalised
 from bench.sky.transformers_network import CITYSCAPES_SKY, TransformersNetwork
 from bench.types import DepthMap, Image, Mask, StereoCamera
-from bench.weights import resolve
+from bench.weights import missing, resolve
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,11 @@ class Segformer(SkySegmenter):
             )
         self._size = self._size or demanded
         self._sky_class = config.sky_class if config.sky_class >= 0 else sky_class
+
+    @staticmethod
+    def missing_weights() -> str | None:
+        """How to get the published network, or None."""
+        return missing("segformer_b5")
 
     def weights(self) -> dict[str, Path]:
         """The file with the weights."""

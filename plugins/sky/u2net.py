@@ -13,7 +13,7 @@ from bench.registry import PluginConfig, register
 from bench.sky.near import NearLimit
 from bench.sky.onnx_network import OnnxNetwork, missing_onnxruntime, normalised
 from bench.types import DepthMap, Image, Mask, StereoCamera
-from bench.weights import resolve
+from bench.weights import missing, resolve
 
 # What the network was trained at, for a file that takes any size.
 _SIZE = (384, 384)
@@ -53,6 +53,11 @@ class U2net(SkySegmenter):
     def unavailable_reason() -> str | None:
         """Why networks can't run here, or None."""
         return missing_onnxruntime()
+
+    @staticmethod
+    def missing_weights() -> str | None:
+        """How to get the network's file, or None."""
+        return missing("skyseg_u2netp")
 
     def weights(self) -> dict[str, Path]:
         """The ONNX file."""

@@ -11,6 +11,7 @@ from bench.registry import register
 from bench.stereo.checkpoint import fit_state, load_state
 from bench.stereo.network import NetworkConfig
 from bench.stereo.torch_network import TorchStereo
+from bench.weights import missing
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,11 @@ class AnyNetStereo(TorchStereo):
 
     def __init__(self, config: AnyNetConfig) -> None:
         super().__init__(config, published=f"anynet_{config.trained_on}")
+
+    @staticmethod
+    def missing_weights() -> str | None:
+        """How to get the published checkpoint, or None."""
+        return missing("anynet_kitti2015")
 
     def load(self) -> torch.nn.Module:
         """The network with the checkpoint's weights; raises ``BenchError`` if they don't fit."""

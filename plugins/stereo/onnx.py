@@ -1,64 +1,77 @@
-"""Any stereo network in an ONNX file."""
+"""Any stereo network in an ONNX file whose inputs are images."""
 
 from __future__ import annotations
 
 import dataclasses
 import importlib.util
+import logging
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from bench.contracts.stereo import Matched
 from bench.errors import BenchError, require_choice
 from bench.registry import register
 from bench.stereo.network import NetworkConfig, StereoNetwork
 from bench.stereo.onnx_graph import CHOICES, PRESETS, StereoGraph
-from bench.stereo.onnx_session import ELEMENT_TYPES, describe, find_tensor, open_session, run_session
+from bench.stereo.onnx_inputs import array_of, fixed_sides, read_feeds
+from bench.stereo.onnx_outputs import choose_output, map_in
+from bench.stereo.onnx_session import describe, find_tensor, open_session, run_session
 from bench.stereo.padding import Window, next_multiple, pad_to
 from bench.stereo.resizing import resize_image, resize_matched
 from bench.types import Image
 
-# Gain and offset of 8-bit colours, for each of the three channels.
-_MEAN, _STD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
-_COLOURS = {
-    "raw": (np.ones(3), np.zeros(3)),
-    "unit": (np.full(3, 1 / 255), np.zeros(3)),
-    "signed": (np.full(3, 2 / 255), np.full(3, -1.0)),
-    "imagenet": (1 / (255 * _STD), -_MEAN / _STD),
-}
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class OnnxConfig(NetworkConfig):
-    """How to talk to the file. Those that are null are as the preset says; ``StereoGraph`` has the same fields."""
+    """How to talk to the file. Those that are null are as the preset says; the preset generic reads from the file's
+    inputs what it can, and the log says what it read. ``StereoGraph`` has the same fields."""
 
     preset: str = "generic"
     """What the file is made by: generic, nvtiny, left_right_disp or stereo_matching."""
     left: str | None = None
-    """Name of the left image's input, or its position such as "0"."""
+    """Name of the left image's input, or its position such as "0"; "": told by the names (left and right, L and R,
+    image1 and image2), else the first."""
     right: str | None = None
-    """Name of the right image's input, or its position."""
+    """Name of the right image's input, or its position; "": the other one."""
+    half_left: str | None = None
+    """A file of four inputs, as CREStereo's in two stages, takes both images at half size too: name or position of
+    the left one's input; "": told by sizes and names (init_left beside next_left)."""
+    half_right: str | None = None
+    """The same of the right image."""
     output: str | None = None
-    """Name of the disparity's output, or its position."""
+    """Name of the disparity's output, or its position; "": the one called disp or flow, else the first."""
+    channel: int | None = None
+    """Which of several maps in the output is the disparity, from 0, -1 is the last; null: of two (a flow) the first."""
     stacked: str | None = None
-    """How one input (named by left) takes both views: channels for (1, 6, H, W), batch for (2, 3, H, W); "": there are
-    two inputs."""
+    """How one input (named by left) takes both views: channels for (1, 6, H, W), or (1, 2, H, W) in grey; batch for
+    (2, 3, H, W); "": there are two inputs; auto: as the number of inputs and their shape say."""
     layout: str | None = None
-    """nchw or nhwc."""
+    """nchw, nhwc, or auto: as the inputs' shape says."""
+    grey: bool | None = None
+    """Feed grey images, one channel a view; null: as the inputs' channels say."""
+    bgr: bool | None = None
+    """Feed blue, green, red instead of red, green, blue."""
     colours: str | None = None
     """unit (RGB 0 to 1), raw (0 to 255), signed (-1 to 1) or imagenet (unit, less ImageNet's mean, by its standard
     deviation)."""
+    mean: tuple[float, ...] = ()
+    """Taken from the colours as given by ``colours``, one number a channel or one for all, ..."""
+    std: tuple[float, ...] = ()
+    """... which are then divided by this."""
     fit: str | None = None
     """resize to the size that the file fixes, pad to it, or auto: pad an image that fits and resize one that does
     not."""
     pad_multiple: int | None = None
-    """A file that leaves the size open gets images padded to multiples of this."""
+    """Sides that the file leaves open get multiples of this."""
     pad_side: str | None = None
     """Where padding goes: top_right, bottom_right or centred."""
     unit: str | None = None
-    """A disparity of 1 in the output is one pixel of the fed image (px) or its whole width (width)."""
+    """A disparity of 1 in the output is one pixel of the fed image (px), one pixel of the output, which may be smaller
+    (output), or the image's whole width (width)."""
     gain: float | None = None
     """Factor of the output, -1 for networks that give the (negative) flow."""
     confidence: str = ""
@@ -70,6 +83,10 @@ class OnnxConfig(NetworkConfig):
         super().__post_init__()
         if self.dtype != "float32":
             raise BenchError(f"stereo.dtype={self.dtype}: an ONNX file has its own number format; leave dtype out.")
+        for name, values in (("mean", self.mean), ("std", self.std)):
+            if len(values) not in (0, 1, 3) or (name == "std" and not all(value > 0 for value in values)):
+                numbers = "numbers above 0" if name == "std" else "numbers"
+                raise BenchError(f"stereo.{name}={list(values)} must be one or three {numbers}, for example [0.5].")
         self.graph()
 
     def graph(self) -> StereoGraph:
@@ -93,34 +110,24 @@ class OnnxConfig(NetworkConfig):
 
 @register("stereo", "onnx", config=OnnxConfig)
 class OnnxStereo(StereoNetwork):
-    """Any stereo network in an ONNX file (stereo.weights=FILE), described by a preset and settings."""
+    """A stereo network in an ONNX file (stereo.weights=FILE); a preset, settings and the file's inputs describe it."""
 
     def __init__(self, config: OnnxConfig) -> None:
         graph = config.graph()
         if not config.weights and not graph.published:
-            raise BenchError(
-                "stereo=onnx needs the network's file: give stereo.weights=FILE.onnx, and stereo.preset as one of "
-                f"{', '.join(PRESETS)}."
-            )
+            raise BenchError(f"stereo=onnx needs the network's file: {self.missing_weights()}.")
         super().__init__(config, graph.published)
         assert self.weights_path is not None
         self._graph, self._path = graph, self.weights_path
         self._session = open_session(self._path, config.device, config.threads)
-        inputs = self._session.get_inputs()
-        names = [("left", graph.left)] if graph.stacked else [("left", graph.left), ("right", graph.right)]
-        self._inputs = [find_tensor(inputs, name, setting, self._path) for setting, name in names]
-        asked = [("output", graph.output)] + [("confidence", config.confidence)] * bool(config.confidence)
-        self._outputs = [find_tensor(self._session.get_outputs(), name, key, self._path) for key, name in asked]
-        fed = {tensor.name for tensor in self._inputs}
-        if fed != {tensor.name for tensor in inputs} or len(fed) < len(names):
-            raise BenchError(
-                f"{self._path} has the inputs {', '.join(map(describe, inputs))}; stereo.preset={config.preset} feeds "
-                f"{' and '.join(map(repr, sorted(fed)))}. Set left, right and stacked so that each is fed once."
-            )
-        for tensor in self._inputs:
-            if tensor.type not in ELEMENT_TYPES or len(tensor.shape) != 4:
-                raise BenchError(f"{self._path}: {describe(tensor)} is no image input (four sides, floating point).")
-        self._size = self._fixed_size()
+        self._feeds = read_feeds(self._session.get_inputs(), graph, self._path)
+        self._sides = fixed_sides(self._feeds, self._path)
+        outputs = self._session.get_outputs()
+        self._outputs = [choose_output(outputs, graph.output, self._path)]
+        if config.confidence:
+            self._outputs.append(find_tensor(outputs, config.confidence, "confidence", self._path))
+        read = "; ".join([*(feed.in_words() for feed in self._feeds), f"disparity: {describe(self._outputs[0])}"])
+        log.info("stereo=onnx: %s: %s, %s", self._path.name, read, f"in the unit {graph.unit}, times {graph.gain:g}")
 
     @staticmethod
     def unavailable_reason() -> str | None:
@@ -129,70 +136,56 @@ class OnnxStereo(StereoNetwork):
             return "onnxruntime is not installed; run `pip install onnxruntime`."
         return None
 
+    @staticmethod
+    def missing_weights() -> str | None:
+        """It is nothing without a file."""
+        return f"give stereo.weights=FILE.onnx, and stereo.preset as one of {', '.join(PRESETS)}"
+
+    @property
+    def sign_cure(self) -> str:
+        """The setting that turns the sign."""
+        return f"set stereo.gain={-self._graph.gain:g}"
+
     def match(self, left: Image, right: Image) -> Matched:
         """One pass of the graph over a pair; raises ``BenchError`` where it refuses it or gives another shape."""
-        pair, shape, window = self._fitted(left, right)
-        values = [self._as_input(image) for image in pair]
-        if self._graph.stacked:
-            channels = 1 if self._graph.layout == "nchw" else 3
-            values = [np.concatenate(values, axis=channels if self._graph.stacked == "channels" else 0)]
-        feed = {
-            tensor.name: value.astype(ELEMENT_TYPES[tensor.type], copy=False)
-            for tensor, value in zip(self._inputs, values, strict=True)
-        }
-        maps = []
-        outputs = run_session(self._session, [tensor.name for tensor in self._outputs], feed, self._path)
-        for tensor, output in zip(self._outputs, outputs, strict=True):
-            if output.size != shape[0] * shape[1]:
-                raise BenchError(
-                    f"{self._path}: {describe(tensor)} has the shape {output.shape} for images of {shape[0]} x "
-                    f"{shape[1]}; expected one number per pixel. Choose another stereo.output or stereo.confidence, if "
-                    "there is one."
-                )
-            maps.append(output.reshape(shape).astype(np.float32))
-        # A gain in pixels of the fed image, whose width is shape[1].
-        gain = self._graph.gain * (shape[1] if self._graph.unit == "width" else 1)
-        disparity, confidence = maps[0] * np.float32(gain), maps[1] if len(maps) > 1 else None
+        pair, fed, window = self._fitted(left, right)
+        feed = {each.tensor.name: array_of(each, pair, self._graph, self._path) for each in self._feeds}
+        answers = run_session(self._session, [tensor.name for tensor in self._outputs], feed, self._path)
+        disparity = map_in(answers[0], self._outputs[0], self._graph.channel, fed, self._path)
+        confidence = map_in(answers[1], self._outputs[1], None, fed, self._path) if len(answers) > 1 else None
+        # In pixels of the map as it came, which resizing turns into those of the larger image.
+        unit = {"px": disparity.shape[1] / fed[1], "output": 1, "width": disparity.shape[1]}[self._graph.unit]
+        matched = Matched(disparity * np.float32(self._graph.gain * unit), confidence)
+        shape = fed if window is not None else left.shape[:2]
+        if any(each is not None and each.shape != shape for each in matched):
+            matched = resize_matched(
+                disparity=matched.disparity, confidence=matched.confidence, shape=(shape[0], shape[1])
+            )
         if window is None:
-            return resize_matched(disparity, confidence, (left.shape[0], left.shape[1]))
+            return matched
+        disparity, confidence = matched
         return Matched(
             np.ascontiguousarray(disparity[window]),
             None if confidence is None else np.ascontiguousarray(confidence[window]),
         )
 
-    def _fitted(self, left: Image, right: Image) -> tuple[list[Image], tuple[int, int], Window | None]:
+    def _fitted(self, left: Image, right: Image) -> tuple[dict[str, Image], tuple[int, int], Window | None]:
         """The pair at a size that the graph takes, that size, and the image's place in it (None: it was resized)."""
-        height, width = left.shape[:2]
-        size, graph = self._size, self._graph
-        if size is None:
-            size = next_multiple((height, width), graph.pad_multiple)
-        elif graph.fit == "resize" or (graph.fit == "auto" and (height > size[0] or width > size[1])):
-            return [resize_image(image, size) for image in (left, right)], size, None
-        if height > size[0] or width > size[1]:
+        shape, sides, graph = (left.shape[0], left.shape[1]), self._sides, self._graph
+        too_large = any(fixed is not None and fixed < side for fixed, side in zip(sides, shape, strict=True))
+        open_sides = next_multiple(shape, graph.pad_multiple)
+        if any(sides) and (graph.fit == "resize" or (graph.fit == "auto" and too_large)):
+            # A side that the file leaves open shrinks or grows with the other.
+            ratio = next(fixed / side for fixed, side in zip(sides, shape, strict=True) if fixed)
+            scaled = (max(1, round(shape[0] * ratio)), max(1, round(shape[1] * ratio)))
+            open_sides = next_multiple(scaled, graph.pad_multiple)
+            size = (sides[0] or open_sides[0], sides[1] or open_sides[1])
+            return {"left": resize_image(left, size), "right": resize_image(right, size)}, size, None
+        size = (sides[0] or open_sides[0], sides[1] or open_sides[1])
+        if too_large:
             raise BenchError(
-                f"stereo.fit=pad: {self._path} takes images of {size[1]}x{size[0]}, and the frame is {width}x{height}. "
-                "Use stereo.fit=resize, or a smaller stereo.scale."
+                f"stereo.fit=pad: {self._path} takes images of {size[1]}x{size[0]}, and the frame is "
+                f"{shape[1]}x{shape[0]}. Use stereo.fit=resize, or a smaller stereo.scale."
             )
-        padded = [pad_to(image, size, graph.pad_side) for image in (left, right)]
-        return [image for image, _ in padded], size, padded[0][1]
-
-    def _as_input(self, image: Image) -> npt.NDArray[np.float32]:
-        gain, offset = (part.astype(np.float32) for part in _COLOURS[self._graph.colours])
-        values = image * gain + offset
-        if self._graph.layout == "nchw":
-            values = np.ascontiguousarray(values.transpose(2, 0, 1))
-        return np.asarray(values[None], np.float32)
-
-    def _fixed_size(self) -> tuple[int, int] | None:
-        """Height and width that the file fixes, or None; raises ``BenchError`` where they can't be an image's."""
-        shape = self._inputs[0].shape
-        sides, channels = (shape[2:], shape[1]) if self._graph.layout == "nchw" else (shape[1:3], shape[3])
-        expected = 6 if self._graph.stacked == "channels" else 3
-        other = shape[3] if self._graph.layout == "nchw" else shape[1]
-        if channels != expected and (isinstance(channels, int) or other == expected):
-            raise BenchError(
-                f"{self._path}: {describe(self._inputs[0])} does not have {expected} channels where "
-                f"stereo.layout={self._graph.layout} says. Try the other layout, or stereo.stacked."
-            )
-        fixed = [side for side in sides if isinstance(side, int) and side > 0]
-        return (fixed[0], fixed[1]) if len(fixed) == 2 else None
+        (padded_left, window), (padded_right, _) = (pad_to(image, size, graph.pad_side) for image in (left, right))
+        return {"left": padded_left, "right": padded_right}, size, window

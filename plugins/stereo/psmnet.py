@@ -8,6 +8,7 @@ from bench.registry import register
 from bench.stereo.checkpoint import fit_state, load_state
 from bench.stereo.network import NetworkConfig
 from bench.stereo.torch_network import TorchStereo
+from bench.weights import missing
 
 
 @register("stereo", "psmnet", config=NetworkConfig)
@@ -18,6 +19,11 @@ class PsmNetStereo(TorchStereo):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config, published="psmnet_kitti2015")
+
+    @staticmethod
+    def missing_weights() -> str | None:
+        """How to get the published checkpoint, or None."""
+        return missing("psmnet_kitti2015")
 
     def load(self) -> torch.nn.Module:
         """The network with the checkpoint's weights; raises ``BenchError`` if they don't fit."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -27,6 +28,14 @@ LAYOUTS: dict[str, Callable[[dict[str, Tensor]], object]] = {
     "data parallel": lambda state: {f"module.{key}": value for key, value in state.items()},
     "wrapped": lambda state: {"epoch": 3, "state_dict": state, "optimizer": {"lr": 0.1}},
     "wrapped and parallel": lambda state: {"model": {f"module.{key}": value for key, value in state.items()}},
+    "another key": lambda state: {
+        "epoch": 3,
+        "teacher": state,
+        "optimizer": {"state": {0: {"exp_avg": torch.ones(1)}}},
+    },
+    "two keys deep": lambda state: {"checkpoint": {"net": state, "ema": state}},
+    "Lightning": lambda state: {"state_dict": {f"model.{key}": value for key, value in state.items()}},
+    "compiled": lambda state: {"net": {f"module._orig_mod.{key}": value for key, value in state.items()}},
     "before the counter": lambda state: {k: v for k, v in state.items() if not k.endswith("num_batches_tracked")},
 }
 
@@ -85,9 +94,18 @@ def test_a_pickled_network_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "can't be read: it is damaged"),
-        (b"PK\x03\x04 no archive", "can't be read: it is damaged"),
-        (b"<html>quota exceeded</html>", "can't be read: it is damaged, or no file of torch.save"),
+        (b"", r"can't be read: it is empty\. Fetch it again"),
+        (b"PK\x03\x04 no archive", "can't be read: it is damaged, or no file of torch.save"),
+        (b"<html>quota exceeded</html>", r"it is a web page \(HTML\), .* save the file itself"),
+        (b"\xef\xbb\xbf\n<!DOCTYPE HTML>\n<title>Sign in", r"it is a web page \(HTML\)"),
+        (
+            b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 1234567890\n",
+            r"it is a Git LFS pointer to a file of 1,235 MB, .* Run `git lfs pull`",
+        ),
+        (b'{"error": "Repository is gated"}\n', r"it is text, which begins '{\"error\": \"Repository is gated\"}"),
+        (b"\x1f\x8b\x08\x00 packed", r"it is a gzip archive\. Unpack it"),
+        (bytes(257) + b"ustar\x00" + bytes(300), r"it is a tar archive\. Unpack it"),
+        (b"\x02" + bytes(7) + b"{}" + bytes(8), r"it is a safetensors file\. Save it with torch\.save"),
     ],
 )
 def test_files_that_are_no_checkpoints(content: bytes, message: str, tmp_path: Path) -> None:
@@ -101,6 +119,21 @@ def test_a_file_without_tensors(tmp_path: Path) -> None:
     file = tmp_path / "net.pth"
     torch.save({"epoch": 3, "loss": 0.1}, file)
     with pytest.raises(BenchError, match=r"holds a dict with the keys epoch, loss, but no tensors by name"):
+        load_state(file)
+
+
+def test_two_sets_of_tensors_are_not_guessed_between(tmp_path: Path) -> None:
+    file = tmp_path / "net.pth"
+    torch.save({"student": {"a": torch.ones(1)}, "teacher": {"a": torch.ones(1)}}, file)
+    with pytest.raises(BenchError, match=r"several sets of tensors \(student, teacher\)\. Save the one"):
+        load_state(file)
+
+
+def test_an_archive_with_a_checkpoint_inside(tmp_path: Path) -> None:
+    file = tmp_path / "net.zip"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("weights/net.pth", b"x")
+    with pytest.raises(BenchError, match=r"it is a zip archive\. Unpack it, and give the file of weights inside"):
         load_state(file)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from stereo_pairs import end_point_error, kitti_2015_sample, shifted_pair
-from tiny_onnx import block_matcher, channel_reader, sure_reader
+from tiny_onnx import INT8, UINT8, block_matcher, channel_reader, reshaped_matcher, sure_reader
 
 from bench.errors import BenchError
 from plugins.stereo.onnx import OnnxConfig, OnnxStereo
@@ -35,6 +35,30 @@ def opened(path: Path, **settings: Any) -> OnnxStereo:
         # A size that the file fixes: the image fits and is padded, ...
         ({"size": (64, 160)}, {}),
         ({"size": (HEIGHT, WIDTH)}, {"fit": "pad"}),
+        # ... or one side of it.
+        ({"size": (64, "w")}, {}),
+        ({"size": ("h", 160)}, {"pad_multiple": 8}),
+        # What is read from the inputs: names in another order, grey, stacked, layout, whole numbers.
+        ({"names": ("left_image", "right_image", "d"), "right_first": True}, {}),
+        ({"names": ("image1", "image2", "d"), "right_first": True}, {}),
+        ({"names": ("b", "a", "c"), "right_first": True}, {"right": "a"}),
+        ({"names": ("imgL", "imgR", "d")}, {}),
+        ({"names": ("image1", "image2", "d")}, {}),
+        ({"colours": 1}, {}),
+        ({"colours": 1, "layout": "nhwc"}, {}),
+        ({"colours": 1, "stacked": "channels"}, {"colours": "imagenet"}),
+        ({"colours": "c"}, {"grey": True}),
+        ({"stacked": "channels"}, {}),
+        ({"stacked": "batch"}, {}),
+        ({"layout": "nhwc"}, {}),
+        ({"element_type": UINT8}, {}),
+        ({"element_type": INT8, "colours": 1}, {"mean": (128.0,)}),
+        # A flow of two channels, four inputs in two sizes.
+        ({"flow": True}, {}),
+        ({"flow": True, "gain": -1.0}, {"gain": -1.0, "channel": 0}),
+        ({"half": ("init_left", "init_right"), "names": ("next_left", "next_right", "next_output")}, {}),
+        ({"half": ("left_2", "right_2"), "size": (64, 160)}, {}),
+        ({"half": ("a", "b"), "flow": True}, {"left": "left", "right": "right", "half_left": "a", "half_right": "b"}),
     ],
 )
 def test_finds_a_known_shift(graph: dict[str, Any], settings: dict[str, Any], tmp_path: Path) -> None:
@@ -42,6 +66,34 @@ def test_finds_a_known_shift(graph: dict[str, Any], settings: dict[str, Any], tm
     disparity = network.disparity(*shifted_pair(HEIGHT, WIDTH, SHIFT))
     assert (disparity.shape, disparity.dtype) == ((HEIGHT, WIDTH), np.float32)
     assert (disparity[5:-5, SHIFT + 5 : -5] == SHIFT).mean() > 0.98
+
+
+@pytest.mark.parametrize(
+    ("graph", "settings"),
+    [
+        ({"shrink": 4}, {}),
+        ({"shrink": 2, "flow": True, "gain": -1.0}, {"gain": -1.0}),
+        # In pixels of the full image though the output is smaller.
+        ({"shrink": 4, "gain": 4.0}, {"unit": "px"}),
+        # The file's own size is half of the image's, and its output half of that.
+        ({"shrink": 2, "size": (24, 76)}, {"fit": "resize"}),
+    ],
+)
+def test_a_smaller_output_is_brought_to_the_images_size(
+    graph: dict[str, Any], settings: dict[str, Any], tmp_path: Path
+) -> None:
+    network = opened(block_matcher(tmp_path / "net.onnx", **graph), **settings)
+    disparity = network.disparity(*shifted_pair(HEIGHT, WIDTH, SHIFT))
+    assert disparity.shape == (HEIGHT, WIDTH)
+    assert np.nanmedian(disparity[8:-8, SHIFT + 16 : -16]) == pytest.approx(SHIFT, abs=0.25)
+
+
+def test_what_was_read_from_the_file_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    file = block_matcher(tmp_path / "net.onnx", colours=1, stacked="channels", names=("x", "x", "disp"))
+    with caplog.at_level("INFO"):
+        opened(file)
+    (line,) = caplog.messages
+    assert "left and right: 'x' (1, 2, h, w) float, grey, nchw; disparity: 'disp' (1, 1, h, w) float" in line
 
 
 @pytest.mark.parametrize(("fixed", "unit", "gain"), [(75, "px", 1.0), (300, "px", 1.0), (75, "width", 1 / 75)])
@@ -99,22 +151,34 @@ def test_two_runs_are_equal_to_the_bit(tmp_path: Path) -> None:
             r"'leftt' among them\. Did you mean 'left'\? Give one of these names, or its position from 0\.",
         ),
         ({}, {"output": "1"}, r"stereo\.output=1: .* has 'disp' \(1, 1, h, w\) float, and no '1' among them"),
-        ({"stacked": "channels"}, {}, r"stereo\.right=1: .* has 'left' \(1, 6, h, w\) float, and no '1'"),
+        (
+            {"stacked": "channels"},
+            {"stacked": ""},
+            r"has the inputs 'left' \(1, 6, h, w\) float, and none of them would",
+        ),
         (
             {},
             {"stacked": "channels"},
-            r"has the inputs 'left' .*, 'right' .*; stereo\.preset=generic feeds 'left'\. Set",
+            r"has the inputs 'left' .*, 'right' .*: stereo\.stacked=channels feeds 'left' alone",
         ),
-        ({}, {"right": "left"}, r"feeds 'left'\. Set left, right and stacked so that each is fed once"),
+        (
+            {},
+            {"left": "right", "right": "right"},
+            r"'right' would be fed\. Set stereo\.left .* so that each is fed once",
+        ),
         (
             {"layout": "nhwc"},
-            {},
-            r"'left' \(1, h, w, 3\) float does not have 3 channels where stereo\.layout=nchw says",
+            {"layout": "nchw"},
+            r"'left' \(1, h, w, 3\) float does not have 1 or 3 channels where stereo\.layout=nchw says",
         ),
-        ({"stacked": "channels"}, {"stacked": "batch"}, r"does not have 3 channels .* or stereo\.stacked"),
+        ({"stacked": "channels"}, {"stacked": "batch"}, r"does not have 1 or 3 channels .* or set stereo\.stacked"),
+        ({}, {"grey": True}, r"'left' \(1, 3, h, w\) float takes colour images; leave stereo\.grey out"),
+        ({}, {"channel": 2}, r"one map, and no channel 2\. Leave stereo\.channel out"),
         ({}, {"preset": "nvtini"}, r"stereo\.preset='nvtini' is not one of .* Did you mean 'nvtiny'"),
         ({}, {"colours": "bgr"}, r"stereo\.colours='bgr' is not one of unit, raw, signed, imagenet"),
         ({}, {"gain": 0.0}, r"stereo\.gain=0\.0 must not be 0"),
+        ({}, {"std": (0.0,)}, r"stereo\.std=\[0\.0\] must be one or three numbers above 0"),
+        ({}, {"mean": (1.0, 2.0)}, r"stereo\.mean=\[1\.0, 2\.0\] must be one or three numbers"),
         ({}, {"dtype": "bfloat16"}, r"stereo\.dtype=bfloat16: an ONNX file has its own number format"),
     ],
 )
@@ -123,12 +187,13 @@ def test_what_the_file_does_not_have(
 ) -> None:
     file = block_matcher(tmp_path / "net.onnx", disparities=2, **graph)
     with pytest.raises(BenchError, match=message):
-        opened(file, **settings)
+        opened(file, **settings).disparity(*shifted_pair(HEIGHT, WIDTH, SHIFT))
 
 
-def test_wrong_sign_is_told(tmp_path: Path) -> None:
-    network = opened(block_matcher(tmp_path / "net.onnx", gain=-1.0))
-    with pytest.raises(BenchError, match=r"OnnxStereo\.match returned no disparity above zero .* Is its sign wrong"):
+@pytest.mark.parametrize(("gain", "cure"), [(1.0, "-1"), (-0.25, "0.25")])
+def test_wrong_sign_is_told_with_the_setting_that_turns_it(gain: float, cure: str, tmp_path: Path) -> None:
+    network = opened(block_matcher(tmp_path / "net.onnx", gain=-1 if gain > 0 else 1), gain=gain)
+    with pytest.raises(BenchError, match=rf"no disparity above zero .* Is its sign wrong \(set stereo\.gain={cure}\)"):
         network.disparity(*shifted_pair(HEIGHT, WIDTH, SHIFT))
 
 
@@ -139,16 +204,24 @@ def test_an_image_larger_than_the_file_allows(tmp_path: Path) -> None:
 
 
 def test_a_graph_that_refuses_its_input(tmp_path: Path) -> None:
-    # Four rows are fewer than its padding needs, and no other size is fixed.
-    network = opened(block_matcher(tmp_path / "net.onnx", size=(64, "w"), disparities=2))
+    """Its reshape wants 64 rows, which its inputs do not say."""
+    network = opened(reshaped_matcher(tmp_path / "net.onnx", rows=64))
     with pytest.raises(BenchError, match=r"net\.onnx can't compute with 'left' \(1, 3, 96, 160\) float32"):
         network.disparity(*shifted_pair(70, WIDTH, SHIFT))
 
 
-def test_files_that_are_no_onnx(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"<html>quota exceeded</html>", r"onnxruntime can't open .*net\.onnx: it is a web page \(HTML\)"),
+        (b"version https://git-lfs.github.com/spec/v1\n", r"it is a Git LFS pointer, which was not fetched\. Run `git"),
+        (b"\x08\x08\x12\x07", r"onnxruntime can't open .*Is it an ONNX file, with the side files"),
+    ],
+)
+def test_files_that_are_no_onnx(content: bytes, message: str, tmp_path: Path) -> None:
     file = tmp_path / "net.onnx"
-    file.write_bytes(b"<html>quota exceeded</html>")
-    with pytest.raises(BenchError, match=r"onnxruntime can't open .*net\.onnx: .*Is it an ONNX file"):
+    file.write_bytes(content)
+    with pytest.raises(BenchError, match=message):
         opened(file)
 
 

@@ -40,14 +40,17 @@ def test_a_frame_without_any_match_has_no_depth() -> None:
     ("answer", "message"),
     [
         ([[1.0]], r"Frame 17: Given\.disparity returned list; return a float32 numpy array of shape \(2, 4\)\."),
-        (np.ones((4, 2), np.float32), r"returned an array of shape \(4, 2\); expected \(2, 4\), the image's height"),
+        (
+            np.ones((4, 2), np.float32),
+            r"shape \(4, 2\); expected \(2, 4\), the image's height and width: .* transpose it",
+        ),
         (np.ones((1, 2, 4), np.float32), r"shape \(1, 2, 4\); expected \(2, 4\)"),
         (np.ones((2, 4)), r"returned dtype float64; expected float32 \(add \.astype\(np\.float32\)\)"),
         (
             np.full((2, 4), -7.5, np.float32),
-            r"no disparity above zero \(they reach from -7\.5 to -7\.5 px\)\. Is its sign",
+            r"no disparity above zero \(they reach from -7\.5 to -7\.5 px\)\. Is its sign wrong \(return -d\)",
         ),
-        (np.zeros((2, 4), np.float32), r"no disparity above zero .* are left and right exchanged\?"),
+        (np.zeros((2, 4), np.float32), r"no disparity above zero, only 0\. Return NaN where nothing is known"),
     ],
 )
 def test_wrong_answers_are_named(answer: object, message: str) -> None:

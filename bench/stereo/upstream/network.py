@@ -20,9 +20,8 @@ from bench.stereo.network import NetworkConfig, StereoNetwork
 from bench.stereo.padding import Window, next_multiple, pad_to
 from bench.stereo.upstream.recipe import UpstreamRecipe
 from bench.types import Image, Map
-from bench.weights import locate
+from bench.weights import missing
 from bench.weights.manifest import entry
-from bench.weights.places import how_to_get
 
 # Another interpreter has packages of its own, so it is given the bench's modules but not the folder that holds them.
 _START = """
@@ -179,13 +178,18 @@ class UpstreamNetwork(StereoNetwork):
         return answer
 
     @classmethod
+    def missing_weights(cls) -> str:
+        """The authors' repository, and their checkpoint where it is not here."""
+        weights = missing(cls.recipe.weights)
+        code = f"give stereo.checkout=FOLDER, which `git clone {cls.recipe.repository}` makes"
+        return f"{code}, and {weights}" if weights else code
+
+    @classmethod
     def _how_to_begin(cls, config: UpstreamConfig) -> str:
         recipe, name = cls.recipe, config.name
         steps = [f"run `git clone {recipe.repository}`"]
-        if not config.weights and locate(recipe.weights) is None:
-            weights = entry(recipe.weights)
-            how = how_to_get(weights).rstrip(".")
-            steps.append(f"{how[0].lower()}{how[1:]} (licence: {weights.licence})")
+        if not config.weights and (how := missing(recipe.weights)):
+            steps.append(f"{how} (licence: {entry(recipe.weights).licence})")
         steps.append(f"run again with `stereo={name} stereo.checkout=FOLDER`")
         return (
             f"stereo={name} runs the authors' own {recipe.title}, which is no part of this project: {'; '.join(steps)}."
