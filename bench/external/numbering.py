@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.errors import BenchError
+from bench.io.frame_names import NamedFiles, in_order
 from bench.types import Float
 
 Numbers = npt.NDArray[np.int64]
-
-_DIGITS = re.compile(r"(\d+)\D*$")
 
 
 @dataclass(frozen=True)
@@ -34,21 +32,29 @@ class Places:
         return int((self.positions < 0).sum())
 
 
-def numbers_in_names(files: Sequence[Path]) -> Numbers:
-    """The last digits of each file's name, without its extension; ``BenchError`` for none, and for one number twice."""
-    found: dict[int, Path] = {}
-    for file in files:
-        digits = _DIGITS.search(file.stem)
-        if digits is None:
-            raise BenchError(f"{file} has no number in its name, which should end with that of its frame. Rename it.")
-        number = int(digits.group(1))
-        if number in found:
-            raise BenchError(
-                f"{found[number]} and {file.name} both have the number {number}; keep one of them, or name the files "
-                "with a pattern, for example --renders 'FOLDER/gs_*.png'."
-            )
-        found[number] = file
-    return np.array(list(found), dtype=np.int64)
+def in_frame_order(files: Sequence[Path]) -> NamedFiles:
+    """Pictures in the order of the number or time in their names; ``BenchError`` for none, and for one number twice."""
+    named = in_order(files, "Keep one of them, or give a pattern of names, for example --renders 'FOLDER/gs_*.png'.")
+    if named.kind == "name":
+        raise BenchError(f"{named.files[0]} has no number in its name, which should have that of its frame. Rename it.")
+    return named
+
+
+def places_of_names(
+    named: NamedFiles, frames: Sequence[int], frame_times: Float, mode: str, tolerance_s: float, what: str
+) -> Places:
+    """Where pictures belong by the time or number in their names; ``BenchError`` where nothing fits.
+
+    Of names with several numbers that differ from file to file the last one counts. ``mode`` as in
+    ``places_of_numbers``; with any but "auto" what looks like a time is a number.
+    """
+    times = named.times
+    if times is not None and mode == "auto":
+        return places_of_times(times, frame_times, tolerance_s, what)
+    numbers = np.array([int(key[-1]) for key in named.keys], dtype=np.int64)
+    if len(np.unique(numbers)) < len(numbers):
+        raise BenchError(f"{what}: the last number is the same in several names. Name the files by their frames alone.")
+    return places_of_numbers(numbers, frames, mode, what)
 
 
 def places_of_numbers(found: Numbers, frames: Sequence[int], mode: str, what: str) -> Places:

@@ -13,10 +13,10 @@ from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.external.hints import about_convention, check_depth_unit
 from bench.external.numbering import (
-    Numbers,
     Places,
-    numbers_in_names,
+    in_frame_order,
     places_of_lines,
+    places_of_names,
     places_of_numbers,
     places_of_times,
 )
@@ -193,10 +193,11 @@ class _Reader:
         return self._dataset.camera.width, self._dataset.camera.height
 
     def _placed(self, kind: str, found: Pictures) -> dict[int, Path]:
-        numbers: Numbers = numbers_in_names(found.files)
-        frames = self._dataset.numbers
-        places = places_of_numbers(numbers, frames, self._settings.numbers, str(self._folder / found.where))
-        files = {int(at): file for at, file in zip(places.positions, found.files, strict=True) if at >= 0}
+        named, frames = in_frame_order(found.files), self._dataset.numbers
+        mode, tolerance_s = self._settings.numbers, self._settings.max_time_difference_s
+        what = str(self._folder / found.where)
+        places = places_of_names(named, frames, self._times, mode, tolerance_s, what)
+        files = {int(at): file for at, file in zip(places.positions, named.files, strict=True) if at >= 0}
         self._remember(kind, found.where, [files[at] for at in sorted(files)])
         outside = f", {places.left_out} of other frames left out" if places.left_out else ""
         lossy = ", JPEG (lossy)" if any(file.suffix.lower() in (".jpg", ".jpeg") for file in found.files) else ""

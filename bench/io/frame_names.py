@@ -59,16 +59,17 @@ class NamedFiles:
         return (numbers - numbers[0]) // math.gcd(*np.diff(numbers).tolist())
 
 
-def in_order(files: Sequence[Path]) -> NamedFiles:
+def in_order(files: Sequence[Path], advice: str = "Keep one of them, or rename it.") -> NamedFiles:
     """Order files by the number or time in their names; names without any digit by the alphabet.
 
     Of several numbers in a name those count that differ from file to file; in names that are not built alike the last.
-    Raises ``BenchError`` for a file without a number among others that have one, and for one number twice.
+    Raises ``BenchError`` for a file without a number among others that have one, and for one number twice; ``advice``
+    says what to do about the latter.
     """
     found = [[Decimal(number) for number in _NUMBER.findall(file.stem)] for file in files]
     if not any(found):
         by_name = sorted(files, key=lambda file: file.stem)
-        _require_unique([file.stem for file in by_name], by_name)
+        _require_unique([file.stem for file in by_name], by_name, advice)
         return NamedFiles(tuple(by_name), tuple(file.stem for file in by_name), "name")
     for file, numbers in zip(files, found, strict=True):
         if not numbers:
@@ -82,7 +83,7 @@ def in_order(files: Sequence[Path]) -> NamedFiles:
         keys = [(numbers[-1],) for numbers in found]
     order = sorted(range(len(files)), key=lambda at: keys[at])
     sorted_files, sorted_keys = [files[at] for at in order], [keys[at] for at in order]
-    _require_unique(sorted_keys, sorted_files)
+    _require_unique(sorted_keys, sorted_files, advice)
     if len(sorted_keys[0]) > 1:
         return NamedFiles(tuple(sorted_files), tuple(sorted_keys), "numbers")
     values = [key[0] for key in sorted_keys]
@@ -92,11 +93,11 @@ def in_order(files: Sequence[Path]) -> NamedFiles:
     return NamedFiles(tuple(sorted_files), tuple(sorted_keys), "time", tuple(value * unit for value in values))
 
 
-def _require_unique(keys: Sequence[tuple[Decimal, ...] | str], files: Sequence[Path]) -> None:
+def _require_unique(keys: Sequence[tuple[Decimal, ...] | str], files: Sequence[Path], advice: str) -> None:
     for (one, first), (other, second) in itertools.pairwise(zip(keys, files, strict=True)):
         if one == other:
             what = f"the number {' '.join(map(str, one))}" if isinstance(one, tuple) else f"the name {one}"
-            raise BenchError(f"{first} and {second.name} both have {what}. Keep one of them, or rename it.")
+            raise BenchError(f"{first} and {second.name} both have {what}. {advice}")
 
 
 def _unit(values: Sequence[Decimal]) -> Decimal | None:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import torch
 
 from bench.errors import BenchError, require_choice
+from bench.io.text_files import read_text
 
 # Number of the class sky among the training labels of Cityscapes.
 CITYSCAPES_SKY = 10
@@ -69,7 +70,7 @@ def _load(folder: Path, setting: str) -> torch.nn.Module:
 
 def _sky_class(path: Path) -> int:
     try:
-        labels = json.loads(path.read_text(encoding="utf-8")).get("label2id") or {}
-    except (ValueError, OSError, AttributeError) as error:
+        labels = json.loads(read_text(path)).get("label2id") or {}
+    except (ValueError, AttributeError) as error:
         raise BenchError(f"{path} can't be read as JSON ({error}). Fetch it again.") from error
     return int(labels.get("sky", CITYSCAPES_SKY))

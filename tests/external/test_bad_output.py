@@ -68,7 +68,7 @@ def damage(folder: Path, how: str) -> tuple[str, ...]:
         ("garbled", "gs_0003.png is damaged (a checksum in it is wrong)"),
         ("small", "gs_0003.png is 30x20 pixels, the data set's images 56x40. Render at the data set's size"),
         ("no image", "gs_0003.png is not a PNG or JPEG image"),
-        ("twice", "both have the number 3; keep one of them"),
+        ("twice", "both have the number 3. Keep one of them"),
         ("beyond", "rendered_rgb: number 8 is beyond the data set's 8 frames (0 to 7)"),
         ("two folders", "several folders that fit --renders: eval/rendered_rgb, renders. Name one"),
         ("two trajectories", "holds 2 files that may be the trajectory: est.txt, other.txt. Say --trajectory FILE"),

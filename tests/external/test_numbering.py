@@ -8,23 +8,47 @@ import numpy as np
 import pytest
 
 from bench.errors import BenchError
-from bench.external.numbering import numbers_in_names, places_of_lines, places_of_numbers, places_of_times
+from bench.external.numbering import (
+    in_frame_order,
+    places_of_lines,
+    places_of_names,
+    places_of_numbers,
+    places_of_times,
+)
 
 EVERY_OTHER = (10, 12, 14, 16)
 
 
-def test_the_last_digits_of_a_name_count() -> None:
-    files = [Path(name) for name in ("v2_gs_0003.png", "frame00012_left.png", "0000000120.png", "depth_7.npy")]
-    assert numbers_in_names(files).tolist() == [3, 12, 120, 7]
+TIMES = np.array([0.0, 0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("names", "mode", "positions"),
+    [
+        (["v2_gs_0003.png", "frame00001_left.png", "2.npy"], "auto", [1, 2, 3]),
+        (["frame_3_10.png", "frame_0_10.png"], "auto", [0, 3]),
+        (["9_2.png", "8_1.png"], "auto", [1, 2]),
+        (["0.201.png", "0.001.png"], "auto", [0, 2]),
+        (["100000000.png", "200000000.png", "300000000.png"], "auto", [1, 2, 3]),
+    ],
+)
+def test_names_tell_the_number_or_the_time(names: list[str], mode: str, positions: list[int]) -> None:
+    named = in_frame_order([Path(name) for name in names])
+    assert places_of_names(named, range(4), TIMES, mode, 0.01, "renders").positions.tolist() == positions
 
 
 @pytest.mark.parametrize(
     ("names", "message"),
-    [(["a1.png", "mean.png"], r"mean\.png has no number"), (["a_001.png", "b_1.png"], "both have the number 1")],
+    [
+        (["a1.png", "mean.png"], r"mean\.png has no number"),
+        (["mean.png"], r"mean\.png has no number"),
+        (["a_001.png", "b_1.png"], "both have the number 1"),
+        (["8_1.png", "9_1.png", "9_2.png"], "the last number is the same in several names"),
+    ],
 )
 def test_names_without_or_with_the_same_number(names: list[str], message: str) -> None:
     with pytest.raises(BenchError, match=message):
-        numbers_in_names([Path(name) for name in names])
+        places_of_names(in_frame_order([Path(name) for name in names]), range(4), TIMES, "auto", 0.01, "renders")
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from bench.discovery import load_plugins
 from bench.errors import BenchError, did_you_mean, require_choice
 from bench.evaluation.metrics import declared_metrics
 from bench.installed_data import published_folder
+from bench.io.text_files import read_text
 from bench.registry import RUN_KINDS
 from bench.tables.named.definitions import MethodRow, NamedTable
 from bench.tables.named.published import SEQUENCES_FILE, SequenceFacts, read_sequences
@@ -110,9 +111,7 @@ def _text(where: str, key: str, value: Any) -> str:
 
 def _read(file: Path) -> _Part:
     try:
-        return _Part(str(file), yaml.safe_load(file.read_text(encoding="utf-8")), _OF_A_TABLE, required=4)
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"Can't read {file}: {error}. Mend the file, or take it out of the folder.") from error
+        return _Part(str(file), yaml.safe_load(read_text(file, "table")), _OF_A_TABLE, required=4)
     except yaml.YAMLError as error:
         raise BenchError(f"{file} is no YAML: {' '.join(str(error).split())}. Mend that line.") from error
 

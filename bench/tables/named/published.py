@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bench.errors import BenchError, require_choice
 from bench.installed_data import published_folder
+from bench.io.text_files import read_text
 
 STATUSES = ("ok", "dagger", "cross", "not reported")
 AVERAGE = "average"
@@ -114,11 +115,7 @@ def _read_values(path: Path) -> list[PublishedValue]:
 
 def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
     """Line number and values of each row."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(f"Can't read {path}: {error}. Restore it from the repository.") from error
-    reader = csv.DictReader(text.splitlines())
+    reader = csv.DictReader(read_text(path).splitlines())
     lacking = [column for column in columns if column not in (reader.fieldnames or [])]
     if lacking:
         raise BenchError(f"{path} lacks the column {lacking[0]!r}; it needs {', '.join(columns)}.")
