@@ -30,7 +30,8 @@ class Dataset(ABC):
     asks the data set, and the camera's baseline says nothing."""
 
     remarks: tuple[str, ...] = ()
-    """What a user should know of how the files were read: frames left out, poses joined by number, a scale."""
+    """What a user should know of how the files were read: frames left out, poses joined by number, a scale.
+    It is told on the terminal and in status.json, without paths."""
 
     def __len__(self) -> int:
         return len(self.numbers)

@@ -170,8 +170,8 @@ def _alone(named: NamedFiles, rows: npt.NDArray[np.intp], other: NamedFiles) -> 
         return []
     names = ", ".join(named.files[row].name for row in alone[:5]) + (", ..." if len(alone) > 5 else "")
     return [
-        f"{len(alone)} of {len(named.files)} images in {named.files[0].parent} have no partner in "
-        f"{other.files[0].parent} and are left out: {names}"
+        f"{len(alone)} of {len(named.files)} images in {named.files[0].parent.name} have no partner in "
+        f"{other.files[0].parent.name} and are left out: {names}"
     ]
 
 

@@ -86,7 +86,9 @@ def rows_of_images(
     if lines == count:
         return np.arange(count), ()
     if numbers is not None and numbers[-1] < lines:
-        return numbers, (f"{path} has {lines} {what} for {count} images: line k (from 0) is taken for image number k",)
+        return numbers, (
+            f"{path.name} has {lines} {what} for {count} images: line k (from 0) is taken for image number k",
+        )
     named = "names without a number" if numbers is None else f"numbers {numbers[0]} to {numbers[-1]} in their names"
     raise BenchError(
         f"{path} has {lines} {what}, but there are {count} images, with {named}. Give one line an image, or one for "

@@ -139,7 +139,7 @@ def _bits_in_use(paths: Sequence[Path]) -> tuple[int, tuple[str, ...]]:
     if bits == _FULL_BITS:
         return bits, ()
     return bits, (
-        f"the 16-bit images in {paths[0].parent} use {bits} bits (largest value {largest}): all images are read as "
+        f"the 16-bit images in {paths[0].parent.name} use {bits} bits (largest value {largest}): all are read as "
         f"{bits}-bit ones, value / {1 << bits - 8}",
     )
 

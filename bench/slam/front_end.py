@@ -36,7 +36,7 @@ class Seen:
 def front_end(system: System, first: int = 0) -> Generator[Seen, None, None]:
     """Tracking, keyframing, stereo and sky of every frame from position ``first`` on, in order."""
     check = PairCheck(system.dataset)
-    doubts = [check.about_camera()] if first == 0 else []
+    doubts = [*system.dataset.to_tell(), check.about_camera()] if first == 0 else []
     for position, frame in prefetch(system.dataset, first):
         doubts.append(check.look(position, frame))
         told = tuple(Event("warning", frame.number, {"text": text}) for text in doubts if text is not None)

@@ -141,7 +141,7 @@ def _about_gaps(left: NamedFiles, counted: npt.NDArray[np.int64]) -> list[str]:
     if not skipped:
         return []
     after = left.files[int(np.argmax(np.diff(counted) > 1))]
-    return [f"the numbers in the names of {after.parent} skip {skipped} frames, the first after {after.name}"]
+    return [f"the numbers in the names of {after.parent.name} skip {skipped} frames, the first after {after.name}"]
 
 
 def _times(config: FolderConfig, left: NamedFiles) -> tuple[Float | None, tuple[str, ...]]:
@@ -154,4 +154,4 @@ def _times(config: FolderConfig, left: NamedFiles) -> tuple[Float | None, tuple[
     if values_per_line(Path(config.poses).expanduser(), "pose file") != 8:
         return None, ()
     times, remarks = read_times(beside, left)
-    return times, (*remarks, f"the images' times are those of {beside}")
+    return times, (*remarks, f"the images' times are those of {beside.name}")

@@ -97,7 +97,7 @@ def test_frames_follow_the_numbers_and_gaps_stay(tmp_path: Path) -> None:
     assert folder.numbers == (0, 7, 8, 9)
     np.testing.assert_array_equal(folder.frame(1).left, cv2.imread(str(tmp_path / "left" / "9.png"))[..., ::-1])
     assert folder.frame(3).timestamp == pytest.approx(0.9)
-    assert folder.remarks == (f"the numbers in the names of {tmp_path / 'left'} skip 6 frames, the first after 2.png",)
+    assert folder.remarks == ("the numbers in the names of left skip 6 frames, the first after 2.png",)
 
 
 def test_a_frame_without_partner_is_left_out_and_told(tmp_path: Path) -> None:
