@@ -12,7 +12,7 @@ ifneq ($(wildcard ../shared/weights),)
 export BGS_WEIGHTS ?= $(abspath ../shared/weights)
 endif
 
-.PHONY: install run test quick check bench clean
+.PHONY: install run test quick check bench sanitize clean
 
 install: $(STAMP)
 
@@ -39,6 +39,21 @@ check: install
 
 bench: install
 	OMP_WAIT_POLICY=passive $(BIN)/python -m pytest tests/performance -s
+
+# The core built with the address and undefined-behaviour sanitizers, in a folder of its own, and its tests for each
+# instruction set; the first finding ends them. Python itself and torch leak at their end, so leaks are not looked for.
+SANITIZED := build/sanitize
+CORE_TESTS := tests/native tests/rasterizers tests/losses tests/gaussians/test_optimizer.py tests/tracking
+
+sanitize: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --upgrade --target $(SANITIZED) \
+		--config-settings=build-dir=$(SANITIZED)/cmake --config-settings=cmake.define.BGS_SANITIZE=ON .
+	for kernels in baseline avx2 avx512; do \
+		LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" BGS_KERNELS=$$kernels \
+		BGS_CORE=$$(ls $(SANITIZED)/bench/_native*.so) ASAN_OPTIONS=detect_leaks=0 \
+		UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 \
+		$(BIN)/python -m pytest -p tools.sanitized_core $(CORE_TESTS) || exit 1; \
+	done
 
 clean:
 	rm -rf $(VENV) build

@@ -10,7 +10,9 @@ from collections.abc import Sequence
 
 from bench.deferred_imports import defer
 from bench.errors import BenchError
+from bench.terminal import output_error, print_anywhere, tell
 
+_NOBODY_READS = 141  # 128 + SIGPIPE, as other programs end then
 _COMMANDS = (
     *("run", "list", "table", "reproduce", "evaluate", "score", "map", "stereo-eval", "vocabulary", "weights"),
     *("cache", "new-plugin", "check-plugin", "doctor"),
@@ -19,23 +21,56 @@ _COMMANDS = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a sub-command. Exit code 0 = done, 1 = a run failed, 2 = wrong input, 130 = Ctrl-C."""
+    """Run a sub-command. Exit code 0 = done, 1 = a run failed, 2 = wrong input, 130 = Ctrl-C, 141 = nobody reads on."""
     # Read when a command first imports torch: its OpenMP threads would otherwise spin after each operation and take the
     # cores from the C++ core's threads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     defer()
+    print_anywhere()
+    by_argparse: SystemExit | None = None
     try:
-        args = _parsed(list(sys.argv[1:] if arguments is None else arguments))
+        code = _code_of(_parsed(list(sys.argv[1:] if arguments is None else arguments)))
+    except SystemExit as error:  # it has printed its help, or what it does not take
+        code, by_argparse = 0, error
+    lost = output_error()
+    if lost is not None:
+        return _without_output(lost, code)
+    if by_argparse is not None:
+        raise by_argparse
+    return code
+
+
+def _code_of(args: argparse.Namespace) -> int:
+    """Run the command; its exit code, when what went wrong has been told in a line."""
+    try:
         code: int = args.run(args)
         return code
     except BenchError as error:
-        print(f"bgs-bench: {error}", file=sys.stderr)
+        tell(str(error))
         return error.exit_code
     except KeyboardInterrupt:
-        print("bgs-bench: interrupted; what was done is in the run folder", file=sys.stderr)
+        tell("interrupted; what was done is in the run folder")
         return 130
-    except BrokenPipeError:
-        return 141
+    except OSError as error:
+        lost = output_error()
+        if lost is not None:
+            return _without_output(lost, 1)
+        where = f"{error.filename}: " if error.filename else ""
+        tell(f"{where}{error.strerror or error}. Check the place, its permissions and the free space.")
+        return 1
+    except SystemExit as error:
+        if isinstance(error.__context__, BrokenPipeError):  # rich ends the program then
+            return _NOBODY_READS
+        tell(f"a plugin ended the program (SystemExit: {error.code}); a plugin that can't go on raises an error")
+        return 1
+
+
+def _without_output(lost: OSError, code: int) -> int:
+    """The exit code where standard output takes nothing more; quiet where its reader has left (``| head``)."""
+    if isinstance(lost, BrokenPipeError):
+        return _NOBODY_READS
+    tell(f"Can't write to standard output: {lost.strerror}. What was printed is not complete.")
+    return code or 1
 
 
 def _parsed(given: list[str]) -> argparse.Namespace:

@@ -32,19 +32,7 @@ from bench.plugin_config import plugin_config_from, plugins_in
 from bench.protocol import Protocol
 from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, PluginConfig
 from bench.runs.config_file import NO_PART_OF_THE_RUN, RUNS_FOLDER
-
-
-@dataclass
-class LimitsConfig:
-    """Where a run ends itself."""
-
-    memory_gb: float | None = None
-    """A run that occupies more GB (of 1e9 bytes, with the processes of its plugins) ends as out of memory, before the
-    system picks a process to kill; null: no limit."""
-
-    def __post_init__(self) -> None:
-        if self.memory_gb is not None and not self.memory_gb > 0:
-            raise BenchError(f"limits.memory_gb={self.memory_gb} must be above 0, or null for no limit.")
+from bench.runs.watchdog import LimitsConfig
 
 
 @dataclass

@@ -76,7 +76,7 @@ def _load_folder(folder: Path) -> None:
         except BenchError:
             del sys.modules[name]
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             del sys.modules[name]
             _record(str(file), error)
 
@@ -86,11 +86,11 @@ def _import(module: str, label: str) -> None:
         importlib.import_module(module)
     except BenchError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         _record(label, error)
 
 
-def _record(label: str, error: Exception) -> None:
+def _record(label: str, error: BaseException) -> None:
     where = traceback.extract_tb(error.__traceback__)
     # A syntax error names its place itself; the traceback ends in the import machinery.
     line = f" (line {where[-1].lineno} of {where[-1].filename})" if where and not isinstance(error, SyntaxError) else ""

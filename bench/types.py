@@ -7,6 +7,7 @@ images are RGB uint8 (H, W, 3); depth and disparity maps are float32 (H, W) with
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -105,6 +106,11 @@ class StereoFrame:
     timestamp: float
     left: Image
     right: Image | None = None
+
+    def checksum(self) -> int:
+        """CRC-32 of both images' pixels: tells whether a file was changed, not who did it."""
+        left = zlib.crc32(np.ascontiguousarray(self.left).data)
+        return left if self.right is None else zlib.crc32(np.ascontiguousarray(self.right).data, left)
 
     def pair(self, part: str, instead: str) -> tuple[Image, Image]:
         """Left and right image, for a part that needs both; ``BenchError`` naming it and what to choose instead."""

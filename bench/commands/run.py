@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import os
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +18,10 @@ from bench.config import RunConfig, compose_run
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.config_file import CONFIG_FILE
-from bench.runs.folder import LOG_FILE
+from bench.runs.folder import LOG_FILE, METRICS_FILE
 from bench.runs.lock import only_one
-from bench.runs.status import read_status
+from bench.runs.status import read_status, without_scores
+from bench.runs.watchdog import Watchdog
 from bench.slam.run import run_system
 from bench.sweeps.combinations import plan_combinations, require_writable
 from bench.sweeps.experiment import EXPERIMENT
@@ -92,27 +95,42 @@ def _run_alone(config: RunConfig, console: Console) -> Path:
         TextColumn("{task.fields[note]}"),
         TimeRemainingColumn(),
     )
-    try:
-        with Progress(*columns, console=console) as bar:
-            frames = bar.add_task("frames", total=None, note="", visible=False)
+    watchdog = Watchdog(config.limits)
+    with Progress(*columns, console=console) as bar, watchdog.watching(), _failing_in_a_line(config.output):
+        frames = bar.add_task("frames", total=None, note="", visible=False)
 
-            def show(done: int, total: int, psnr_db: float) -> None:
-                note = f"{psnr_db:.2f} dB" if psnr_db == psnr_db else ""
-                bar.update(frames, completed=done, total=total, note=note, visible=True)
+        def show(done: int, total: int, psnr_db: float) -> None:
+            note = f"{psnr_db:.2f} dB" if psnr_db == psnr_db else ""
+            bar.update(frames, completed=done, total=total, note=note, visible=True)
 
-            folder = run_system(config, show)
-            if folder.already_done:
-                note = "already done; rerun=true runs it again"
-                bar.update(frames, total=1, completed=1, note=note, visible=True)
-                if (folder.path / "metrics.json").is_file():
-                    return folder.path
-            scoring = bar.add_task("scoring", total=None, note="")
-            evaluate_run(folder.path, lambda what, d, n: bar.update(scoring, completed=d, total=n, note=what))
-    except (BenchError, KeyboardInterrupt):
-        raise
-    except Exception as error:
-        raise RunFailedError(_failure(error, config.output)) from error
+        folder = run_system(config, show, watchdog)
+        if folder.already_done:
+            note = "already done; rerun=true runs it again"
+            bar.update(frames, total=1, completed=1, note=note, visible=True)
+            if (folder.path / METRICS_FILE).is_file():
+                return folder.path
+        scoring = bar.add_task("scoring", total=None, note="")
+
+        def show_scoring(what: str, done: int, total: int) -> None:
+            watchdog.step()
+            bar.update(scoring, completed=done, total=total, note=what)
+
+        complete = read_status(folder.path)
+        assert complete is not None
+        watchdog.begin(lambda reason: (folder.path, without_scores(complete, "failed", reason)))
+        evaluate_run(folder.path, show_scoring)
     return folder.path
+
+
+@contextmanager
+def _failing_in_a_line(folder: Path) -> Iterator[None]:
+    """Raise ``RunFailedError`` for what breaks a run but is no wrong input, a plugin that ends the program included."""
+    try:
+        yield
+    except BenchError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise RunFailedError(_failure(error, folder)) from error
 
 
 class RunFailedError(BenchError):
@@ -121,11 +139,11 @@ class RunFailedError(BenchError):
     exit_code = 1
 
 
-def _failure(error: Exception, folder: Path) -> str:
+def _failure(error: BaseException, folder: Path) -> str:
     """One line: the error, where it was raised, and the log, if the run came so far as to have one."""
     raised = traceback.extract_tb(error.__traceback__)[-1]
     status = read_status(folder)
-    ours = status is not None and status.pid == os.getpid() and status.state != "done"
+    ours = status is not None and status.pid == os.getpid() and not status.is_complete
     log_file = f"; the traceback is in {folder / LOG_FILE}" if ours else ""
     text = " ".join(str(error).split())
     return f"The run failed: {type(error).__name__}: {text} (line {raised.lineno} of {raised.filename}{log_file})"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,10 @@ from bench.evaluation.metrics import DECLARED, brought_with
 from bench.evaluation.saved_run import ProgressReport, SavedRunFolder
 from bench.io.atomic import write_json, write_text
 from bench.plugin_config import plugin_config_from
+from bench.runs.endings import how_it_ended, terminate_as_interrupt
 from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE, map_size
 from bench.runs.provenance import describe_weights
-from bench.runs.status import read_json
+from bench.runs.status import SCORING, read_json, without_scores, write_status
 from bench.runs.system_name import external_name
 
 
@@ -28,10 +31,16 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
 
     ``on_progress(what, done, total)`` is called while images are scored. A run that failed or was interrupted is scored
     as far as it got. An evaluator that can't run here leaves a note instead of its numbers. Raises ``BenchError`` for
-    a folder that is no run, is incomplete or damaged, and when two evaluators disagree about the same number.
+    a folder that is no run, is incomplete or damaged, and when two evaluators disagree about the same number; where a
+    run has no scores yet, its status then says what came in between, and that only its scores are missing.
     """
     run = SavedRunFolder(path)
     run.on_progress = on_progress
+    with _told_in_status(run):
+        return _scored(run)
+
+
+def _scored(run: SavedRunFolder) -> dict[str, Any]:
     load_plugins(run.config.get("plugins") or [])
     metrics: dict[str, Any] = {"protocol": run.protocol.stamp() | {"right_images_mapped": _learned_from_right(run)}}
     evaluators = [_evaluator(name, mapping or {}) for name, mapping in (run.config.get("evaluator") or {}).items()]
@@ -49,8 +58,21 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
     merge(metrics, {"notes": {"warning": "; ".join(run.status.warnings)}} if run.status.warnings else {})
     _record_weights(run)
     write_text(run.path / PER_FRAME_FILE, run.per_frame().to_csv(index=False))
+    if run.status.stage == SCORING:
+        write_status(run.path, replace(run.status, state="done", reason="", stage=""))
     write_json(run.path / METRICS_FILE, metrics)
     return metrics
+
+
+@contextmanager
+def _told_in_status(run: SavedRunFolder) -> Iterator[None]:
+    try:
+        with terminate_as_interrupt():
+            yield
+    except BaseException as error:
+        if run.status.is_complete and not (run.path / METRICS_FILE).is_file():
+            write_status(run.path, without_scores(run.status, *how_it_ended(error)))
+        raise
 
 
 def _evaluator(name: str, mapping: Mapping[str, Any]) -> Evaluator | dict[str, Any]:

@@ -10,7 +10,7 @@ from bench.types import Trajectory
 
 def estimate_and_truth(run: SavedRun) -> tuple[Trajectory, Trajectory] | str:
     """The run's estimate and its ground truth, as they were saved, or the reason why one is missing."""
-    if run.status.state != "done" and not (run.path / TRAJECTORY_FILE).is_file():
+    if not run.status.is_complete and not (run.path / TRAJECTORY_FILE).is_file():
         return "the run stopped before it saved its trajectory"
     if external_name(run.config) is not None and not (run.path / TRAJECTORY_FILE).is_file():
         return "the system's output has no trajectory"

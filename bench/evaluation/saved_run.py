@@ -20,6 +20,7 @@ from bench.plugin_config import plugin_config_from
 from bench.protocol import Protocol
 from bench.runs.config_file import CONFIG_FILE, read_config
 from bench.runs.folder import (
+    CHECKSUM_COLUMN,
     DEPTH_SCALE,
     FRAME_COLUMNS,
     FRAMES_FILE,
@@ -141,7 +142,7 @@ class SavedRunFolder(SavedRun):
         wanted = self._should_have(f"{view}_{what}")
         expected = [int(number) for number in self.frames.loc[wanted, "number"]]
         there = [number for number in expected if picture_path(self.path, view, what, number).is_file()]
-        if there and len(there) < len(expected) and self.status.state == "done":
+        if there and len(there) < len(expected) and self.status.is_complete:
             lacking = picture_path(self.path, view, what, min(set(expected) - set(there)))
             raise BenchError(f"{lacking} is missing though the run is done. Run it again with rerun=true.")
         return there
@@ -182,10 +183,28 @@ class SavedRunFolder(SavedRun):
         return self._position_of[number]
 
     def frame(self, position: int) -> StereoFrame:
-        """The data set's frame, kept until another one is asked for: left and right views share it."""
+        """The data set's frame, kept until another one is asked for: left and right views share it.
+
+        Raises ``BenchError`` where its images are no longer those that the run read.
+        """
         if self._frame is None or self._frame[0] != position:
-            self._frame = position, self.dataset.frame(position)
+            self._frame = position, self._unchanged(self.dataset.frame(position))
         return self._frame[1]
+
+    @cached_property
+    def _checksums(self) -> dict[int, int]:
+        """Of the images that the run read, by frame number; empty where it kept none."""
+        if CHECKSUM_COLUMN not in self.frames:
+            return {}
+        return dict(zip(self.frames["number"].tolist(), self.frames[CHECKSUM_COLUMN].tolist(), strict=True))
+
+    def _unchanged(self, frame: StereoFrame) -> StereoFrame:
+        if self._checksums.get(frame.number, frame.checksum()) != frame.checksum():
+            raise BenchError(
+                f"The images of frame {frame.number} of {self.dataset.label} have changed since the run read them. Put "
+                "the old ones back, or run again with rerun=true."
+            )
+        return frame
 
     def report_progress(self, what: str, done: int, total: int) -> None:
         """Tell whoever shows progress, if anyone does, that ``done`` of ``total`` are scored."""

@@ -13,6 +13,7 @@ void bind_rasterizer(nb::module_& m);
 void bind_losses(nb::module_& m);
 void bind_adam(nb::module_& m);
 void bind_tracking(nb::module_& m);
+void bind_last_resort(nb::module_& m);
 
 using Array2 = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Array3 = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;

@@ -27,7 +27,7 @@ void bind_schema(nb::module_& m) {
 }  // namespace
 
 NB_MODULE(_native, m) {
-    m.doc() = "The C++ core: the CPU rasterizer, loss terms and Adam of mapping, and the kernels of tracking.";
+    m.doc() = "The C++ core: the CPU rasterizer, loss terms and Adam of mapping, and the kernels of tracking; the end of a hung process.";
     m.def("instruction_set", [] { return std::string(bgs::kernels().name); }, "Which build of the kernels runs on this machine.");
     m.def("threads", [] { return bgs::pool().threads(); });
     m.def("set_threads", [](int threads) {
@@ -39,4 +39,5 @@ NB_MODULE(_native, m) {
     bind_losses(m);
     bind_adam(m);
     bind_tracking(m);
+    bind_last_resort(m);
 }

@@ -24,7 +24,7 @@ from bench.io.atomic import TEMPORARY_PATTERN, atomic_path, write_image, write_j
 from bench.io.trajectories import write_kitti, write_tum
 from bench.runs.config_file import CONFIG_FILE, differing_keys, read_config, write_config
 from bench.runs.events import EVENTS_FILE, write_events
-from bench.runs.status import STATUS_FILE, current_status, read_status, write_status
+from bench.runs.status import STATUS_FILE, RunStatus, current_status, read_status, write_status
 from bench.runs.trajectory_csv import as_csv
 from bench.types import Event, Image, Map, RenderedView, Trajectory
 
@@ -43,6 +43,8 @@ PLOT_FILE = "trajectory.png"
 
 FRAME_COLUMNS = ["number", "timestamp", "state", "mapped", "heldout"]
 """What each row of ``frames.csv`` has at least."""
+CHECKSUM_COLUMN = "images_crc32"
+"""And in a run of ours: the checksum of the images that the run read."""
 
 OTHER_FILES = (
     STATUS_FILE,
@@ -171,10 +173,22 @@ class RunFolder:
         ``lost`` holds [first, last] frame number of every stretch without a pose; ``stage`` says what a running run is
         about.
         """
-        status = current_status(state, reason, frames_done, frames_total, lost, self._started, stage, self.warnings)
+        status = self.status_now(state, reason, frames_done, frames_total, lost, stage)
         self._started = status.started
         self._told = time.monotonic()
         write_status(self.path, status)
+
+    def status_now(
+        self,
+        state: str,
+        reason: str,
+        frames_done: int,
+        frames_total: int,
+        lost: Sequence[Sequence[int]],
+        stage: str = "",
+    ) -> RunStatus:
+        """The status that ``set_status`` would write."""
+        return current_status(state, reason, frames_done, frames_total, lost, self._started, stage, self.warnings)
 
     def tell_progress(self, frames_done: int, frames_total: int, stage: str) -> None:
         """Keep ``status.json`` of a running run current, for those who watch it: about once a second."""
@@ -266,7 +280,7 @@ def _is_done(path: Path) -> bool:
     status = read_status(path)
     if status is not None and status.is_alive() and status.pid != os.getpid():
         raise BenchError(f"The run in {path} is being written by process {status.pid}. Wait for it, or stop it first.")
-    return status is not None and status.state == "done"
+    return status is not None and status.is_complete
 
 
 def _remove_old_outputs(path: Path, map_file: str | None, keep: set[str]) -> None:

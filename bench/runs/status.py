@@ -18,6 +18,7 @@ from bench.io.atomic import write_json
 RunState = Literal["running", "done", "failed", "out_of_memory", "interrupted"]
 STATES: tuple[str, ...] = get_args(RunState)
 STATUS_FILE = "status.json"
+SCORING = "scoring"
 # What file systems give to the smallest file.
 _BLOCK = 4096
 
@@ -28,8 +29,8 @@ class RunStatus:
 
     ``process_started`` (clock ticks since boot, from ``/proc``) tells the process of this run from a later one that was
     given the same number. ``lost_stretches`` holds [first, last] frame number of every stretch without a pose.
-    ``stage`` says what a running run is about: "mapping", "last optimisation", "rendering". ``warnings`` say what
-    makes the run's numbers doubtful, a sentence each.
+    ``stage`` says what a running run is about: "mapping", "last optimisation", "rendering"; or, when only its scoring
+    failed or was interrupted, "scoring". ``warnings`` say what makes the run's numbers doubtful, a sentence each.
     """
 
     state: str
@@ -44,6 +45,11 @@ class RunStatus:
     updated: str = ""
     host: str = ""
     process_started: int | None = None
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the run got to its end and saved everything, scored or not."""
+        return self.state == "done" or self.stage == SCORING
 
     def is_alive(self) -> bool:
         """Whether the process that wrote "running" still runs on this machine."""
@@ -92,6 +98,12 @@ def current_status(
         host=socket.gethostname(),
         process_started=_process_started(os.getpid()),
     )
+
+
+def without_scores(status: RunStatus, state: str, reason: str) -> RunStatus:
+    """Of a complete run whose scoring ended early, ``state`` and ``reason`` saying how."""
+    reason = "scoring was interrupted" if state == "interrupted" else f"scoring: {reason}"
+    return replace(status, state=state, reason=reason, stage=SCORING)
 
 
 def write_status(folder: Path, status: RunStatus) -> None:

@@ -19,6 +19,7 @@ import torch
 from bench.contracts.keyframer import Keyframer
 from bench.contracts.tracker import Tracker
 from bench.runs.checkpoint import Snapshot
+from bench.runs.folder import CHECKSUM_COLUMN
 from bench.runs.memory import PeakMemory
 from bench.slam.front_end import Seen, keyframe_of
 from bench.slam.progress import Progress
@@ -28,7 +29,16 @@ from bench.types import Keyframe
 log = logging.getLogger(__name__)
 
 # What the front end must say again, to the bit, when a run is resumed.
-_REPEATED = ("number", "state", "inliers", "reprojection_px", "heldout", "is_keyframe", "keyframe_reason")
+_REPEATED = (
+    "number",
+    "state",
+    "inliers",
+    "reprojection_px",
+    "heldout",
+    CHECKSUM_COLUMN,
+    "is_keyframe",
+    "keyframe_reason",
+)
 
 
 class ReplayDiffersError(Exception):

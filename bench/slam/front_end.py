@@ -16,6 +16,7 @@ from bench.cache import cost_of
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
 from bench.runs.events import check_events
+from bench.runs.folder import CHECKSUM_COLUMN
 from bench.slam.prefetch import prefetch
 from bench.slam.system import System
 from bench.tracking.pair_check import PairCheck
@@ -37,7 +38,7 @@ def front_end(system: System, first: int = 0) -> Generator[Seen, None, None]:
     """Tracking, keyframing, stereo and sky of every frame from position ``first`` on, in order."""
     check = PairCheck(system.dataset)
     doubts = [*system.dataset.to_tell(), check.about_camera()] if first == 0 else []
-    for position, frame in prefetch(system.dataset, first):
+    for position, frame, checksum in prefetch(system.dataset, first):
         doubts.append(check.look(position, frame))
         told = tuple(Event("warning", frame.number, {"text": text}) for text in doubts if text is not None)
         doubts = []
@@ -53,6 +54,7 @@ def front_end(system: System, first: int = 0) -> Generator[Seen, None, None]:
             "is_keyframe": False,
             "mapped": False,
             "heldout": system.protocol.is_held_out(frame.number),
+            CHECKSUM_COLUMN: checksum,
             "tracking_s": cost.seconds,
             "tracking_cached": cost.cached,
             "stereo_s": 0.0,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,11 @@ from bench.types import Float, Map, PinholeView, RenderedView, Trajectory
 log = logging.getLogger(__name__)
 
 
-def save_views(system: System, folder: RunFolder, done: Progress) -> None:
+def save_views(system: System, folder: RunFolder, done: Progress, step: Callable[[], None]) -> None:
     """Render every tracked frame from its final pose, left and (if the protocol asks) right, and save it.
 
     Views that the mapper can't show are left out; then the frames' rows say which there are, and why others are not.
+    ``step`` is called after each.
     """
     if not system.mapper.wants_keyframes:
         return
@@ -39,6 +41,7 @@ def save_views(system: System, folder: RunFolder, done: Progress) -> None:
                 absent[camera][number] = str(error)
             else:
                 folder.write_view(camera, number, rendered, _depth_to_save(rendered, system.protocol))
+            step()
     if any(absent.values()):
         log.warning("views could not be rendered: %d left, %d right", *(len(absent.get(c, {})) for c in VIEWS))
         _note_absent(done.rows, set(trajectory.numbers.tolist()), absent)

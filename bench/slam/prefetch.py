@@ -9,6 +9,7 @@ from collections.abc import Generator, Iterable, Iterator
 from typing import TypeVar
 
 from bench.contracts.dataset import Dataset
+from bench.runs.watchdog import TimeLimitError
 from bench.types import StereoFrame
 
 # How often a blocked thread looks whether the consumer has gone, in seconds.
@@ -18,16 +19,19 @@ _END = object()
 T = TypeVar("T")
 
 
-def prefetch(dataset: Dataset, first: int = 0, ahead: int = 2) -> Iterator[tuple[int, StereoFrame]]:
-    """Yield ``(position, frame)`` from ``first`` on, with up to ``ahead`` frames decoded in a background thread."""
-    return in_background(((i, dataset.frame(i)) for i in range(first, len(dataset))), ahead, "bgs-prefetch")
+def prefetch(dataset: Dataset, first: int = 0, ahead: int = 2) -> Iterator[tuple[int, StereoFrame, int]]:
+    """Yield ``(position, frame, checksum)`` from ``first`` on, with up to ``ahead`` frames decoded in a background
+    thread."""
+    frames = ((i, dataset.frame(i)) for i in range(first, len(dataset)))
+    return in_background(((i, frame, frame.checksum()) for i, frame in frames), ahead, "bgs-prefetch")
 
 
 def in_background(items: Iterable[T], ahead: int, thread_name: str) -> Generator[T, None, None]:
     """Yield the items in order; up to ``ahead`` of them are made before they are asked for, in a thread of their own.
 
     What making an item raises is raised here, in its place. The thread ends when the consumer closes this generator or
-    lets go of it, at the latest after the item that it is making.
+    lets go of it, at the latest after the item that it is making; a run that passed its limit of time while it waited
+    for that item does not wait for it any longer.
     """
     ready: queue.Queue[object] = queue.Queue(maxsize=max(1, ahead))
     stop = threading.Event()
@@ -58,11 +62,16 @@ def in_background(items: Iterable[T], ahead: int, thread_name: str) -> Generator
 
     thread = threading.Thread(target=make, name=thread_name, daemon=True)
     thread.start()
+    hangs = False
     try:
         while (item := ready.get()) is not _END:
             yield item  # type: ignore[misc]  # only T and _END are ever put
         if failure:
             raise failure[0]
+    except TimeLimitError:
+        hangs = True
+        raise
     finally:
         stop.set()
-        thread.join()
+        if not hangs:
+            thread.join()

@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -18,13 +19,14 @@ import torch
 from bench.config import RunConfig
 from bench.errors import BenchError
 from bench.runs.checkpoint import Checkpoints, Snapshot
+from bench.runs.endings import how_it_ended, terminate_as_interrupt
 from bench.runs.events import check_events
 from bench.runs.folder import PROVENANCE_FILE, RunFolder
 from bench.runs.memory import PeakMemory
-from bench.runs.memory_limit import MemoryLimit
 from bench.runs.provenance import collect_provenance
+from bench.runs.status import RunStatus
+from bench.runs.watchdog import TimeLimitError, Watchdog, stacks_of_threads
 from bench.slam.checkpointing import ReplayDiffersError, resume, snapshot_of
-from bench.slam.endings import how_it_ended, terminate_as_interrupt
 from bench.slam.front_end import Seen, front_end
 from bench.slam.outputs import save_outputs, save_views
 from bench.slam.prefetch import in_background
@@ -43,14 +45,20 @@ _END: Any = object()
 Tell = Callable[[int, int, float], None]
 
 
-def run_system(config: RunConfig, progress: Tell | None = None) -> RunFolder:
+def run_system(config: RunConfig, progress: Tell | None = None, watchdog: Watchdog | None = None) -> RunFolder:
     """Run the configured system and save the run; returns its folder.
 
     A run that was stopped or killed is resumed from its last checkpoint (``resume``), if nothing that its result
     depends on has changed since. Raises ``BenchError`` before anything is written for bad input that can be known
     beforehand. What goes wrong later is recorded in ``status.json`` (failed, out_of_memory, interrupted), what was done
-    is saved, and the error goes on.
+    is saved, and the error goes on. ``watchdog`` is one that watches more than this.
     """
+    watchdog = watchdog or Watchdog(config.limits)
+    with watchdog.watching():
+        return _run_system(config, progress, watchdog)
+
+
+def _run_system(config: RunConfig, progress: Tell | None, watchdog: Watchdog) -> RunFolder:
     values = config.values
     system = System.build(config)
     resuming = values["resume"] and not values["rerun"]
@@ -63,23 +71,15 @@ def run_system(config: RunConfig, progress: Tell | None = None) -> RunFolder:
     checkpoints = Checkpoints(folder.path, fingerprint_of(config, system), values["checkpoint_s"])
     if not resuming:
         checkpoints.remove()
-    run = _Run(config, system, folder, checkpoints, MemoryLimit(config.limits.memory_gb), progress)
+    run = _Run(config, system, folder, checkpoints, watchdog, progress)
     with folder.attach_log(), terminate_as_interrupt():
         folder.set_status("running", frames_total=run.total, stage="mapping")
+        watchdog.begin(run.failed_status)
         try:
-            with run.limit.watching():
-                run.make()
+            run.make()
         except BaseException as error:
-            state, reason = how_it_ended(error)
-            log.exception("The run ended early: %s", reason)
-            try:
-                run.finish_tracking()
-                save_outputs(run.system, folder, run.done, run.memory)
-            except Exception:
-                # What ended the run is what the user must hear of; that it broke the saving too is in the log.
-                log.exception("What was done could not all be saved")
-            finally:
-                folder.set_status(state, reason, len(run.done.rows), run.total, run.done.lost_stretches())
+            watchdog.stand_down()
+            run.save_what_was_done(error)
             raise
         folder.set_status(
             "done", frames_done=len(run.done.rows), frames_total=run.total, lost=run.done.lost_stretches()
@@ -96,7 +96,7 @@ class _Run:
     system: System
     folder: RunFolder
     checkpoints: Checkpoints
-    limit: MemoryLimit
+    watchdog: Watchdog
     progress: Tell | None
     done: Progress = field(default_factory=Progress)
     memory: PeakMemory = field(default_factory=PeakMemory)
@@ -122,7 +122,7 @@ class _Run:
         self._optimise_at_the_end()
         self.done.wall_s = self.done.elapsed_s()
         self._tell("rendering", now=True)
-        save_views(self.system, self.folder, self.done)
+        save_views(self.system, self.folder, self.done, self.watchdog.step)
         save_outputs(self.system, self.folder, self.done, self.memory)
 
     def finish_tracking(self) -> None:
@@ -130,6 +130,26 @@ class _Run:
         if self._tracking:
             self._tracking = False
             self.system.tracker.finish()
+
+    def save_what_was_done(self, error: BaseException) -> None:
+        """After what ended the run early; the status says why."""
+        state, reason = how_it_ended(error)
+        log.exception("The run ended early: %s", reason)
+        if isinstance(error, TimeLimitError):
+            log.error("Where its threads are:\n%s", stacks_of_threads())
+        try:
+            self.finish_tracking()
+            save_outputs(self.system, self.folder, self.done, self.memory)
+        except (Exception, SystemExit):
+            # What ended the run is what the user must hear of; that it broke the saving too is in the log.
+            log.exception("What was done could not all be saved")
+        finally:
+            self.folder.set_status(state, reason, len(self.done.rows), self.total, self.done.lost_stretches())
+
+    def failed_status(self, reason: str) -> tuple[Path, RunStatus]:
+        """The run folder, and what its status would say if the run ended now."""
+        frames, lost = len(self.done.rows), self.done.lost_stretches()
+        return self.folder.path, self.folder.status_now("failed", reason, frames, self.total, lost)
 
     def _map_frames(self, snapshot: Snapshot | None) -> None:
         values = self.config.values
@@ -195,13 +215,13 @@ class _Run:
 
     def _repeated(self, frames: int) -> None:
         """What is due when another frame before the break is done again."""
-        self.limit.check()
+        self.watchdog.step()
         if self.progress is not None:
             self.progress(frames, self.total, float("nan"))
 
     def _after_a_step(self, stage: str) -> None:
         """What is due between two steps of mapping."""
-        self.limit.check()
+        self.watchdog.step()
         self._tell(stage)
         self.checkpoints.if_due(lambda: snapshot_of(self.system, self.done, self.memory))
 

@@ -104,6 +104,8 @@ class Child:
 
     def _found(self, code: int) -> Found:
         said, state = _last_words(self._log), "failed"
+        if code == 0:
+            said = "its process ended with exit code 0 before the run was done: did a plugin end it?"
         if code < 0:
             said = f"ended by signal {-code} ({signal.strsignal(-code)})"
         if -code == signal.SIGKILL and self._memory_ran_out():
@@ -121,7 +123,7 @@ class Child:
             return found
         words = f"out of memory: {said}" if state == "out_of_memory" else said
         unsaid = found.progress == "interrupted" and code < 0
-        if found.progress == "missing" or unsaid or (found.progress == "interrupted" and code not in (0, 130)):
+        if found.progress == "missing" or unsaid or (found.progress == "interrupted" and code != 130):
             # It never got as far as a status (wrong settings, missing weights), could not write it, or its scoring
             # failed.
             return Found("interrupted" if state == "running" else "failed", words)

@@ -40,9 +40,9 @@ def look_up(folder: Path) -> Found:
         return Found("failed", str(error))
     if status is None:
         return Found("interrupted", "it has not begun")
-    if status.state == "done":
+    if status.is_complete:
         scored = (folder / METRICS_FILE).is_file()
-        return Found("finished") if scored else Found("interrupted", "it was not scored")
+        return Found("finished") if scored else Found("interrupted", status.reason or "it was not scored")
     if status.state in ("failed", "out_of_memory"):
         words = [status.describe()] if status.state == "out_of_memory" else []
         return Found("failed", ": ".join([*words, *([status.reason] if status.reason else [])]))

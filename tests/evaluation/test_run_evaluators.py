@@ -5,24 +5,114 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import shutil
+import signal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from tiny_run import HELD_OUT, LEFT_ERROR, LOST, NUMBERS, RIGHT_ERROR, write_tiny_run
+from tiny_run import (
+    HELD_OUT,
+    LEFT_ERROR,
+    LOST,
+    NUMBERS,
+    RIGHT_ERROR,
+    TinyConfig,
+    TinyDataset,
+    frame_row,
+    write_tiny_run,
+)
 
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run, merge
 from bench.evaluation.saved_run import SavedRunFolder
+from bench.runs.config_file import read_config
 from bench.runs.folder import RunFolder, picture_path
+from bench.runs.status import read_status
+from bench.sweeps.lookup import Found, look_up
+from bench.types import StereoFrame
 
 NONE_DONE = {"tracked": 0, "ok": 0, "weak": 0, "lost": 0, "lost_stretches": [], "mapped": 0}
 
 
 def psnr_of(*errors: int) -> float:
     return float(np.mean([20 * math.log10(255 / error) for error in errors]))
+
+
+ENDS: list[tuple[BaseException, str, str]] = [
+    (KeyboardInterrupt(), "interrupted", "scoring was interrupted"),
+    (ValueError("no such colour"), "failed", "scoring: ValueError: no such colour"),
+    (SystemExit(0), "failed", "scoring: SystemExit: 0"),
+    (MemoryError("too much"), "out_of_memory", "scoring: too much"),
+]
+
+
+@pytest.mark.parametrize(("end", "state", "reason"), ENDS, ids=lambda each: type(each).__name__)
+def test_scoring_that_ends_early_is_told_and_the_run_is_kept(
+    end: BaseException, state: str, reason: str, tiny_run: Path
+) -> None:
+    """The next time only the scores are made, which are those of an unbroken run."""
+
+    def ending(what: str, done: int, total: int) -> None:
+        raise end
+
+    before = read_status(tiny_run)
+    with pytest.raises(type(end)):
+        evaluate_run(tiny_run, ending)
+    status = read_status(tiny_run)
+    assert status is not None
+    assert (status.state, status.reason) == (state, reason)
+    assert status.is_complete
+    assert RunFolder.create(tiny_run, *read_config(tiny_run) or ({}, ""), rerun=False).already_done
+    assert look_up(tiny_run) == Found("interrupted", reason)
+    evaluate_run(tiny_run)
+    assert read_status(tiny_run) == before
+    assert look_up(tiny_run) == Found("finished")
+
+
+def test_a_polite_kill_while_scoring_is_an_interruption(tiny_run: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_run(tiny_run, lambda what, done, total: signal.raise_signal(signal.SIGTERM))
+    status = read_status(tiny_run)
+    assert status is not None
+    assert (status.state, status.reason) == ("interrupted", "scoring was interrupted")
+
+
+def test_scores_that_are_there_are_not_spoilt_by_scoring_again_in_vain(tiny_run: Path) -> None:
+    metrics = evaluate_run(tiny_run)
+    shutil.rmtree(tiny_run / "views" / "left")
+    picture_path(tiny_run, "left", "color", 10).parent.mkdir(parents=True)
+    picture_path(tiny_run, "left", "color", 10).write_bytes(b"damaged")
+    with pytest.raises(BenchError):
+        evaluate_run(tiny_run)
+    status = read_status(tiny_run)
+    assert status is not None
+    assert status.state == "done"
+    assert json.loads((tiny_run / "metrics.json").read_text())["views"] == metrics["views"]
+
+
+def test_an_image_that_changed_since_the_run_read_it_is_told(tiny_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One pixel of one image, by one grey level."""
+    dataset = TinyDataset(TinyConfig())
+    rows = [frame_row(number) for number in NUMBERS]
+    for position, row in enumerate(rows):
+        row["images_crc32"] = dataset.frame(position).checksum()
+    pd.DataFrame(rows).to_csv(tiny_run / "frames.csv", index=False)
+    evaluate_run(tiny_run)
+    unchanged = TinyDataset.frame
+
+    def overwritten(self: TinyDataset, position: int) -> StereoFrame:
+        frame = unchanged(self, position)
+        assert frame.right is not None
+        if frame.number == 13:
+            frame.right[3, 5, 1] += 1
+        return frame
+
+    monkeypatch.setattr(TinyDataset, "frame", overwritten)
+    with pytest.raises(BenchError, match=r"images of frame 13 of tiny have changed since the run read them"):
+        evaluate_run(tiny_run)
 
 
 def no_constants(value: str) -> None:

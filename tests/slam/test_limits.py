@@ -17,10 +17,11 @@ import pytest
 
 from bench.cli import main
 from bench.config import compose_run
-from bench.runs.memory_limit import MemoryLimit, MemoryLimitError
 from bench.runs.status import RunStatus, read_status, write_status
+from bench.runs.watchdog import LimitsConfig, MemoryLimitError, TimeLimitError, Watchdog
 from bench.slam.run import run_system
 from plugins.mappers.gaussian import GaussianMapper
+from plugins.stereo.sgbm import Sgbm
 
 TINY = ("dataset.frames=4", "dataset.width=320", "dataset.height=96", "mapper.iterations=2", "protocol.lpips=false")
 
@@ -61,7 +62,7 @@ def test_outside_the_main_thread_the_next_check_tells() -> None:
     raised: list[BaseException] = []
 
     def work() -> None:
-        limit = MemoryLimit(0.001)
+        limit = Watchdog(LimitsConfig(memory_gb=0.001))
         with limit.watching():
             until = time.monotonic() + 10
             try:
@@ -89,14 +90,88 @@ def test_a_peers_memory_counts(monkeypatch: pytest.MonkeyPatch) -> None:
         assert memory.peers_now_gb() == 0
         memory.note_peak(peer.pid)
         assert 0.2 < memory.peers_now_gb() < 0.3
-        with pytest.raises(MemoryLimitError), MemoryLimit(resident_gb() + 0.1).watching():
+        with pytest.raises(MemoryLimitError), Watchdog(LimitsConfig(memory_gb=resident_gb() + 0.1)).watching():
             time.sleep(5.0)
     memory.forget_peaks()
 
 
 def test_without_a_limit_nothing_watches() -> None:
-    with MemoryLimit(None).watching():
-        assert not [thread.name for thread in threading.enumerate() if thread.name == "bgs-memory"]
+    with Watchdog(LimitsConfig()).watching():
+        assert not [thread.name for thread in threading.enumerate() if thread.name == "bgs-watchdog"]
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        (LimitsConfig(hours=0.1 / 3600), "took longer than limits.hours"),
+        (LimitsConfig(stall_minutes=0.1 / 60), "limits.stall_minutes"),
+    ],
+)
+def test_a_limit_of_time_ends_what_hangs(limits: LimitsConfig, words: str) -> None:
+    started = time.monotonic()
+    with pytest.raises(TimeLimitError, match=words), Watchdog(limits).watching():
+        time.sleep(10.0)
+    assert time.monotonic() - started < 5.0
+
+
+def test_steps_put_a_stall_off_but_not_the_hours() -> None:
+    watchdog = Watchdog(LimitsConfig(stall_minutes=0.1 / 60))
+    with watchdog.watching():
+        for _ in range(10):
+            time.sleep(0.03)
+            watchdog.step()
+    watchdog = Watchdog(LimitsConfig(hours=0.1 / 3600))
+    time.sleep(0.2)
+    with pytest.raises(TimeLimitError):
+        watchdog.step()
+
+
+@pytest.mark.slow
+def test_a_stereo_network_that_never_returns_ends_the_run_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It hangs in the thread of the front end, where no signal comes; the frames before it are saved."""
+    came_back = threading.Event()
+    matched = Sgbm.matched
+
+    def hanging(self: Sgbm, left: Any, right: Any) -> Any:
+        if threading.current_thread().name == "bgs-front-end" and calls.append(0) is None and len(calls) == 2:
+            came_back.wait(20.0)
+        return matched(self, left, right)
+
+    calls: list[int] = []
+    monkeypatch.setattr(Sgbm, "matched", hanging)
+    options = ["tracker=groundtruth", "limits.stall_minutes=0.05", "cache.enabled=false", f"output={tmp_path / 'run'}"]
+    with pytest.raises(TimeLimitError):
+        run_system(compose_run([*TINY, *options]))
+    came_back.set()
+    status = json.loads((tmp_path / "run" / "status.json").read_text())
+    assert (status["state"], status["frames_done"]) == ("failed", 1)
+    assert "nothing got done for 0.05 min" in status["reason"]
+    assert len((tmp_path / "run" / "trajectory_kitti.txt").read_text().splitlines()) == 1
+    assert "came_back.wait" in (tmp_path / "run" / "log.txt").read_text()
+
+
+@pytest.mark.slow
+def test_a_call_that_keeps_the_interpreter_is_ended_with_its_process(tmp_path: Path) -> None:
+    """No thread of Python gets to run: the core's own ends the process, and writes what the status is left with."""
+    code = f"""
+import ctypes, pathlib
+from bench.runs import watchdog
+from bench.runs.status import RunStatus
+watchdog.GRACE_S = 0.2
+watched = watchdog.Watchdog(watchdog.LimitsConfig(stall_minutes=0.1 / 60))
+with watched.watching():
+    watched.begin(lambda reason: (pathlib.Path({str(tmp_path)!r}), RunStatus("failed", reason, frames_done=3)))
+    ctypes.PyDLL(None).sleep(20)
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=15)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("bgs-bench: nothing got done for ")
+    status = read_status(tmp_path)
+    assert status is not None
+    assert (status.state, status.frames_done) == ("failed", 3)
+    assert status.reason.endswith("and did not end within 0.2 s")
 
 
 @pytest.fixture

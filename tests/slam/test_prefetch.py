@@ -39,7 +39,7 @@ def prefetch_threads() -> int:
 
 def test_all_frames_in_order_from_another_thread() -> None:
     dataset = Counted()
-    seen = [(position, frame.number, int(frame.left[0, 0, 0])) for position, frame in prefetch(dataset)]
+    seen = [(position, frame.number, int(frame.left[0, 0, 0])) for position, frame, _ in prefetch(dataset)]
     assert seen == [(i, 100 + i, i) for i in range(10)]
     assert threading.current_thread().name not in dataset.threads
     assert prefetch_threads() == 0

@@ -231,7 +231,10 @@ def test_the_status_tells_of_frames_and_stage(tmp_path: Path, monkeypatch: pytes
     }
 
 
-@pytest.mark.parametrize("wrong", ["checkpoint_s=-1", "checkpoint_s=nan", "limits.memory_gb=0", "limits.memory_gb=-2"])
+@pytest.mark.parametrize(
+    "wrong",
+    ["checkpoint_s=-1", "checkpoint_s=nan", "limits.memory_gb=0", "limits.hours=-2", "limits.stall_minutes=nan"],
+)
 def test_senseless_settings_are_refused(wrong: str) -> None:
     with pytest.raises(BenchError, match=wrong.partition("=")[0]):
         compose_run([wrong])

@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import torch
-
 from bench.errors import BenchError
 
-# How torch's and OpenCV's own errors on the CPU speak of it.
+# The name of torch's error on the GPU (torch takes a while to load), and how its and OpenCV's on the CPU speak of it.
+_TORCH = "OutOfMemoryError"
 _MEMORY_WORDS = ("can't allocate memory", "Insufficient memory")
 
 
@@ -20,7 +19,11 @@ def how_it_ended(error: BaseException) -> tuple[str, str]:
     if isinstance(error, KeyboardInterrupt):
         return "interrupted", "stopped by the user"
     text = str(error) or type(error).__name__
-    if isinstance(error, MemoryError | torch.OutOfMemoryError) or any(words in text for words in _MEMORY_WORDS):
+    if (
+        isinstance(error, MemoryError)
+        or type(error).__name__ == _TORCH
+        or any(words in text for words in _MEMORY_WORDS)
+    ):
         return "out_of_memory", text.split("\n", 1)[0]
     return "failed", text if isinstance(error, BenchError) else f"{type(error).__name__}: {text}"
 
