@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,21 @@ from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import Plan, make_plan
 from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView
+from bench.tables.named.definitions import NamedTable
 from bench.tables.named.find import named_table, table_files
-from bench.tables.named.table import make_table
-from bench.tables.records.record import VIEW_GROUPS
+from bench.tables.named.found_rows import choose_rows, with_found_rows
+from bench.tables.named.overrides import row_of
+from bench.tables.named.records import read_runs
+from bench.tables.named.table import fill_table
+from bench.tables.records.file import SUFFIX
+from bench.tables.records.record import VIEW_GROUPS, RunRecord
 
 _EXAMPLES = """examples:
   bgs-bench reproduce ablation dataset.root=DIR
   bgs-bench reproduce backbones dataset.root=DIR dataset.frames=0:10 mapper.iterations=8 --seeds 0 --jobs 2
   bgs-bench reproduce main_kitti dataset.root=DIR launcher=ray hydra.launcher.ray.init.address=auto
   bgs-bench reproduce main_kitti dataset.root=DIR --dry-run
+  bgs-bench reproduce backbones stereo=my_net 'plugins=[FOLDER]' dataset.root=DIR    # the row of your own backbone
   bgs-bench reproduce mine 'plugins=[FOLDER]' dataset.root=DIR       # a table of yours, FOLDER/table/mine.yaml
 
 Killed or stopped, the same command resumes where it was. A run is whole or made again; those that are there stay."""
@@ -65,7 +72,8 @@ def run(args: argparse.Namespace) -> int:
     overrides, launcher = split_launcher(args.overrides, args.jobs)
     folders = plugin_folders(check_overrides(with_home(overrides)))
     table = named_table(args.table, folders)
-    plan = make_plan(table, overrides, args.seeds or table.seeds)
+    chosen, overrides = choose_rows(table, overrides)
+    plan = make_plan(chosen, overrides, args.seeds or table.seeds)
     choice = Choice(interrupted=not args.missing, failed=args.rerun_failed)
     console = Console()
     if args.dry_run:
@@ -82,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         _say(f"stopped; {_counted(plan)}. The same command resumes from there.", console)
         return 130
-    _write_table(table.name, folders, plan, args, console)
+    _write_table(table, chosen, plan, args, console)
     _say(f"{table.name}: {_counted(plan)}", console)
     return 0 if all(look_up(planned.folder).progress == "finished" for planned in plan.runs) else 1
 
@@ -117,16 +125,31 @@ def _say_skipped(plan: Plan, console: Console) -> None:
         _say(f"skipped: {'; '.join(labels[:2])}{more}: {reason}", console)
 
 
-def _write_table(name: str, users: list[str], plan: Plan, args: argparse.Namespace, console: Console) -> None:
-    """Print the table of this plan's runs alone and write it in every format; without any run there is none."""
+def _write_table(table: NamedTable, chosen: NamedTable, plan: Plan, args: argparse.Namespace, console: Console) -> None:
+    """Print the table of this plan's runs alone, where some rows were ``chosen`` with what is there of the others, and
+    write it in every format; without any run there is none."""
     folders = [planned.folder for planned in plan.runs if (planned.folder / CONFIG_FILE).is_file()]
     if not folders:
         _say("no run was made, so the table was not written", console)
         return
-    table = make_table(name, folders, args.views, users)
-    table.print(console)
-    for file in table.write(args.out):
+    kept = read_runs(folders, args.views)
+    if chosen is not table:
+        kept = replace(kept, runs=(*kept.runs, *_of_other_rows(table, chosen, plan, args)))
+    filled = fill_table(table, kept)
+    filled.print(console)
+    for file in filled.write(args.out):
         _say(f"wrote {file}", console)
+
+
+def _of_other_rows(table: NamedTable, chosen: NamedTable, plan: Plan, args: argparse.Namespace) -> list[RunRecord]:
+    """Runs of the table's rows that were not chosen: those in the folder of the runs, and in the table's record."""
+    record = args.out / f"{table.name}{SUFFIX}"
+    places = [place for place in (record, plan.root) if place.exists()]
+    found = {run.name: run for place in places for run in read_runs([place], args.views).runs}
+    table = with_found_rows(table, [run.config for run in found.values()])
+    return [
+        run for run in found.values() if row_of(table, run.config) is not None and row_of(chosen, run.config) is None
+    ]
 
 
 def _counted(plan: Plan) -> str:

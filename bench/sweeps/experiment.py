@@ -8,6 +8,7 @@ from bench.config import check_overrides, plugin_folders
 from bench.errors import BenchError, require_choice
 from bench.tables.named.definitions import Cell, cells
 from bench.tables.named.find import table_files
+from bench.tables.named.found_rows import choose_rows
 from bench.tables.named.loading import read_table
 
 EXPERIMENT = "experiment="
@@ -29,6 +30,7 @@ def expand_experiment(overrides: Sequence[str]) -> list[tuple[Cell, list[str]]]:
     folders = plugin_folders(check_overrides(others))
     files = table_files(folders)
     table = read_table(files[require_choice("experiment", names[0], files)], folders)
+    table, others = choose_rows(table, others)
     of_table = cells(table)
     found = [(cell, cell.overrides_with(others)) for cell in of_table if not cell.blocked]
     if not found:

@@ -18,7 +18,9 @@ from bench.sweeps.combinations import plan_combinations
 from bench.sweeps.experiment import expand_experiment
 from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import make_plan
+from bench.tables.named.definitions import cells
 from bench.tables.named.find import named_table
+from bench.tables.named.found_rows import choose_rows
 
 SMALL = ("mapper.iterations=3", "tracker=groundtruth")
 
@@ -92,6 +94,24 @@ def test_overrides_that_cannot_be(kitti: Path, table: str, override: str, messag
     with pytest.raises(BenchError) as error:
         make_plan(named_table(table), [*root, override], [0])
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "rows"),
+    [
+        ("stereo=sgbm", {"SGBM": "stereo=sgbm"}),
+        ("stereo=lidar", {"lidar": "stereo=lidar"}),
+        ("stereo=lidar,psmnet", {"lidar": "stereo=lidar", "PSMNet": "stereo=psmnet"}),
+    ],
+)
+def test_a_backbone_chooses_its_row(override: str, rows: dict[str, str]) -> None:
+    table = named_table("backbones")
+    chosen, others = choose_rows(table, ["seed=1", override])
+    assert others == ["seed=1"]
+    assert {cell.row: cell.overrides[-1] for cell in cells(chosen)} == rows
+    assert all("system=bgs_slam_paper" in cell.overrides for cell in cells(chosen))
+    assert [cell.row for cell, _ in expand_experiment(["experiment=backbones", override])] == list(rows)
+    assert choose_rows(named_table("ablation"), [override]) == (named_table("ablation"), [override])
 
 
 HERE = {"host": socket.gethostname(), "pid": os.getpid()}

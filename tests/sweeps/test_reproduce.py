@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 from fake_bench import FULL, Bench, is_running, wait_until
 
+from bench.cli import main
+
 MakeBench = Callable[[str], Bench]
 
 
@@ -34,6 +36,24 @@ def test_the_table_of_an_unbroken_sweep(unbroken: Bench) -> None:
     started = unbroken.started()
     assert len(started) == len(set(started)) == 21
     assert [label[-1] for label in started] == ["0"] * 7 + ["1"] * 7 + ["2"] * 7
+
+
+@pytest.mark.slow
+def test_the_row_of_a_users_backbone_alone_is_made_and_shown_beside_the_others(
+    make_bench: MakeBench, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """`new-plugin`, then `reproduce backbones stereo=NAME`; the row of the second backbone leaves that of the first."""
+    bench = make_bench("backbones")
+    bench.arguments[1] = "backbones"
+    for name in ("made_net", "next_net"):
+        assert main(["new-plugin", "stereo", name, "--folder", str(bench.folder / "mine")]) == 0
+        assert bench.reproduce(f"stereo={name}", "plugins=[mine]", "--seeds", "0,1") == 0
+        assert bench.started() == [f"{name}, 03, seed 0", f"{name}, 03, seed 1"]
+    rows = list(csv.DictReader(io.StringIO(bench.tables()["backbones.csv"].decode())))
+    own = {row["method"]: row["value"] for row in rows if row["by"] == "ours" and row["metric"] == "psnr_db"}
+    # The fakes' PSNR is 20 dB + the seed.
+    assert [own["made_net"], own["next_net"], own["SGBM"]] == ["20.5", "20.5", ""]
+    assert "backbones: 2 runs, 2 to make" in capfd.readouterr().out
 
 
 @pytest.mark.slow

@@ -338,3 +338,26 @@ def test_bad_input_is_one_line(arguments: list[str], message: str, capsys: pytes
     said = capsys.readouterr().err
     assert re.search(message, said)
     assert said.count("\n") == 1
+
+
+def test_a_users_backbone_has_a_row_below_the_papers(tmp_path: Path) -> None:
+    """20 and 22 dB: mean 21, deviation sqrt(2). Runs of another system, or without a sky, have no row."""
+    for seed, psnr in enumerate((20.0, 22.0)):
+        own = config("03", seed=seed, stereo="my_net")
+        make_run(tmp_path / "runs" / f"own{seed}", own, metrics(801, psnr_db=psnr))
+    make_run(tmp_path / "runs" / "sgbm", config("03", stereo="sgbm"), metrics(801, psnr_db=25.0))
+    make_run(tmp_path / "runs" / "a_net", config("03", stereo="a_net"), None, state="failed", frames=0)
+    make_run(tmp_path / "runs" / "fast", config("03", "bgs_slam_fast", stereo="c_net"), metrics(801, psnr_db=9.0))
+    make_run(tmp_path / "runs" / "no_sky", config("03", stereo="b_net", sky="none"), metrics(801, psnr_db=9.0))
+    table = make_table("backbones", [tmp_path / "runs"])
+    text = table.text("md", tmp_path)
+    rows = [row[0] for row in markdown_rows(text)[1:] if row[0]]
+    assert rows[-4:] == ["AnyNet", "SGBM", "a\\_net", "my\\_net"]
+    assert line(table, "my_net", "ours")["PSNR [dB] ↑"] == "21.00 ± 1.41 (2)"
+    assert line(table, "SGBM", "ours")["PSNR [dB] ↑"] == "**25.00** (1)"
+    assert "2 runs belong to no cell of this table." in table.notes
+    own = next(row for row in csv.DictReader(table.text("csv", tmp_path).splitlines()) if row["method"] == "my_net")
+    assert (own["metric"], own["value"], own["paper"]) == ("psnr_db", "21.0", "")
+    table.write(tmp_path / "kept")
+    again = make_table("backbones", [tmp_path / "kept" / "backbones.runs.json"])
+    assert again.text("tex", tmp_path) == table.text("tex", tmp_path)

@@ -178,6 +178,8 @@ def test_what_is_known_of_sequences_may_lie_beside_the_table(mine: Path, tmp_pat
         ("seeds: [4]", "seeds: [4, 4]", r"seeds: \[4, 4\] must be different whole numbers"),
         ("invented.csv", "other.csv", r"published: there is no .*other\.csv\. Put the CSV file there"),
         ("rows:\n", "rows_of: main_kitti\nrows:\n", r"needs either rows, or rows_of"),
+        ("rows:\n", "other_rows: stere\nrows:\n", r"other_rows='stere' is not one of stereo, .* Did you mean 'stereo'"),
+        ("rows:\n", "other_rows: loss\nrows:\n", r"other_rows='loss' is not one of stereo, sky, tracker"),
         ("metrics:", "columns: metrics\nmetrics:", r"where columns are metrics there is one sequence"),
         ("title:", "title: [", r"invented\.yaml is no YAML: .*line"),
         ("about: An", "about: !!python/object/apply:os.getcwd []\nprotocol: An", r"is no YAML: could not determine"),
@@ -204,6 +206,21 @@ def test_published_numbers_that_no_cell_would_show_are_named(old: str, new: str,
     (mine / "table" / "invented.csv").write_text(NUMBERS.replace(old, new))
     with pytest.raises(BenchError, match=message):
         make_table("invented", [], folders=[str(mine)])
+
+
+def test_other_rows_of_a_users_table(mine: Path, tmp_path: Path) -> None:
+    """A row for each plugin that runs have and no row names, by the settings that all rows share."""
+    (mine / "table" / "invented.yaml").write_text(TABLE + "other_rows: stereo\n")
+    (mine / "table" / "same_rows.yaml").write_text(
+        "title: x\ndataset: street\nsequences: {north_1: dataset.seed=1}\nmetrics: [ssim]\nrows_of: invented\n"
+    )
+    make_run(tmp_path / "runs" / "a", 1, 18.0)
+    file = tmp_path / "runs" / "a" / "config.yaml"
+    file.write_text(file.read_text().replace("name: sgbm", "name: own_net"))
+    for name in ("invented", "same_rows"):
+        assert "own\\_net" in make_table(name, [tmp_path / "runs"], folders=[str(mine)]).text("md", tmp_path)
+    file.write_text(file.read_text().replace("system: bgs_slam", "system: bgs_slam_fast"))
+    assert "own\\_net" not in make_table("invented", [tmp_path / "runs"], folders=[str(mine)]).text("md", tmp_path)
 
 
 def test_a_rows_wrong_setting_is_named_when_it_is_composed(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:

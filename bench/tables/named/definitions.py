@@ -50,6 +50,12 @@ class NamedTable:
     """CSV files with the paper's numbers."""
     references: tuple[Path, ...] = ()
     """CSV files with numbers from elsewhere: a static camera, other systems' own papers."""
+    other_rows: str = ""
+    """A kind of plugin ("stereo"): each one that runs have and no row names gets a row of its own; empty: none does."""
+    overrides: tuple[str, ...] = ()
+    """Those that all rows of ours share ..."""
+    never: tuple[str, ...] = ()
+    """... and what none of their runs has."""
     facts: Mapping[str, SequenceFacts] | None = None
     """What is known of its sequences; None: nothing."""
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.contracts.metric import Metric
 from bench.tables.named.definitions import NamedTable
-from bench.tables.named.external import with_external_rows
+from bench.tables.named.found_rows import with_found_rows
 from bench.tables.named.overrides import row_of
 from bench.tables.named.published import SequenceFacts
 from bench.tables.named.settings import common, varied_parts
@@ -144,7 +144,7 @@ def fill(table: NamedTable, records: Sequence[RunRecord], left_out: int = 0, pro
     ``protocol`` (a name; empty: any), then those under whose settings most frames of the table were scored.
     ``left_out`` counts runs that are known to belong to no cell and are not among the records.
     """
-    table = with_external_rows(table, [record.config for record in records])
+    table = with_found_rows(table, [record.config for record in records])
     facts = {sequence: table.facts_of(sequence) for sequence in table.sequences}
     found: dict[Place, list[_Found]] = defaultdict(list)
     for record in records:

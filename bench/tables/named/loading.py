@@ -16,16 +16,30 @@ from bench.errors import BenchError, did_you_mean, require_choice
 from bench.evaluation.metrics import declared_metrics
 from bench.installed_data import published_folder
 from bench.io.text_files import read_text
-from bench.registry import RUN_KINDS
+from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE
 from bench.tables.named.definitions import MethodRow, NamedTable
 from bench.tables.named.published import SEQUENCES_FILE, SequenceFacts, read_sequences
 
 _OF_A_TABLE = (
     *("title", "dataset", "sequences", "metrics"),
-    *("about", "columns", "protocol", "seeds", "published", "references", "overrides", "never", "rows", "rows_of"),
+    *(
+        "about",
+        "columns",
+        "protocol",
+        "seeds",
+        "published",
+        "references",
+        "overrides",
+        "never",
+        "rows",
+        "rows_of",
+        "other_rows",
+    ),
 )
 _OF_A_ROW = ("label", "published", "compared_with", "overrides", "never")
 _OF_A_METRIC = ("key", "title", "decimals", "better")
+# Kinds of which a run has one, so that a plugin can name a row.
+_NAMING_ROWS = tuple(kind for kind in RUN_KINDS if kind not in (*SEVERAL_AT_ONCE, "dataset"))
 # What an override of a row may set: all that is not the table's own.
 _SETTINGS = (*RUN_KINDS, "system", "limits", "pipeline", "threads", "cache")
 
@@ -41,6 +55,10 @@ def read_table(file: Path, folders: Sequence[str] = ()) -> NamedTable:
     sequences = _sequences(table)
     if across == "metrics" and len(sequences) > 1:
         raise BenchError(f"{file}: where columns are metrics there is one sequence; give one, or columns: sequences.")
+    rows_of = _with_rows(table, file)
+    other_rows = rows_of.text("other_rows")
+    if other_rows:
+        require_choice(f"{rows_of.where}: other_rows", other_rows, _NAMING_ROWS)
     return NamedTable(
         name=file.stem,
         file=file,
@@ -48,7 +66,10 @@ def read_table(file: Path, folders: Sequence[str] = ()) -> NamedTable:
         dataset=table.text("dataset"),
         sequences=sequences,
         metrics=tuple(_metric(f"{file}: a metric", each, folders) for each in table.list("metrics")),
-        rows=_rows(table, file),
+        rows=_rows(rows_of),
+        other_rows=other_rows,
+        overrides=rows_of.overrides("overrides"),
+        never=rows_of.overrides("never"),
         across=cast(Literal["sequences", "metrics"], across),
         about=table.text("about"),
         protocol=table.text("protocol") or "default",
@@ -147,23 +168,27 @@ def _metric(where: str, value: Any, folders: Sequence[str]) -> Metric:
         raise BenchError(f"{where}: {error}") from error
 
 
-def _rows(table: _Part, file: Path) -> tuple[MethodRow, ...]:
-    """The table's own rows, or those of another table beside it."""
+def _with_rows(table: _Part, file: Path) -> _Part:
+    """The table whose rows it has: itself, or another one beside it."""
     if ("rows" in table.content) == ("rows_of" in table.content):
         raise BenchError(f"{file} needs either rows, or rows_of with the name of a table whose rows it has.")
-    if "rows_of" in table.content:
-        other = file.with_name(f"{table.text('rows_of')}.yaml")
-        if not other.is_file():
-            raise BenchError(f"{file}: rows_of: there is no {other}. Name a table that lies beside it.")
-        of_other = _read(other)
-        if "rows_of" in of_other.content:
-            raise BenchError(f"{file}: rows_of: {other} has no rows of its own. Name the table that has them.")
-        return _rows(of_other, other)
+    if "rows_of" not in table.content:
+        return table
+    other = file.with_name(f"{table.text('rows_of')}.yaml")
+    if not other.is_file():
+        raise BenchError(f"{file}: rows_of: there is no {other}. Name a table that lies beside it.")
+    of_other = _read(other)
+    if "rows_of" in of_other.content:
+        raise BenchError(f"{file}: rows_of: {other} has no rows of its own. Name the table that has them.")
+    return of_other
+
+
+def _rows(table: _Part) -> tuple[MethodRow, ...]:
     rows = tuple(_row(table, number, each) for number, each in enumerate(table.list("rows"), 1))
     labels = [row.label for row in rows]
     for label in labels:
         if labels.count(label) > 1:
-            raise BenchError(f"{file}: two rows are labelled '{label}'. Give each row its own label.")
+            raise BenchError(f"{table.where}: two rows are labelled '{label}'. Give each row its own label.")
     return rows
 
 

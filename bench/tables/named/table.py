@@ -14,9 +14,9 @@ from bench.tables.document.model import Document
 from bench.tables.document.terminal import print_document
 from bench.tables.named.definitions import NamedTable
 from bench.tables.named.dialects import dialect_data, dialect_grid, dialect_notes, scored_groups
-from bench.tables.named.external import with_external_rows
 from bench.tables.named.fill import fill, is_of
 from bench.tables.named.find import DIALECTS, named_table
+from bench.tables.named.found_rows import with_found_rows
 from bench.tables.named.grid import PublishedNumbers, build_grid
 from bench.tables.named.layout import document_of
 from bench.tables.named.notes import notes
@@ -85,7 +85,12 @@ def make_table(
         require_choice("--views", views, VIEW_GROUPS)
     if table is None and columns_of != "both":
         raise BenchError(f"--columns {columns_of}: the table {DIALECTS} has no published numbers. Leave it out.")
-    return _table_of(table, _of_table(table, read_runs(runs, views)), columns_of)
+    return fill_table(table, read_runs(runs, views), columns_of)
+
+
+def fill_table(table: NamedTable | None, found: KeptRuns, columns_of: str = "both") -> PaperTable:
+    """The table (None: that of dialects) with those of the runs that have a place in it."""
+    return _table_of(table, _of_table(table, found), columns_of)
 
 
 def _of_table(table: NamedTable | None, found: KeptRuns) -> KeptRuns:
@@ -94,7 +99,7 @@ def _of_table(table: NamedTable | None, found: KeptRuns) -> KeptRuns:
         members = [run for run in found.runs if run.part("dialects")]
         strangers = len(found.runs) - len(members)
     else:
-        table = with_external_rows(table, [run.config for run in found.runs])
+        table = with_found_rows(table, [run.config for run in found.runs])
         members = [run for run in found.runs if row_of(table, run.config) is not None]
         strangers = sum(is_of(run, table) for run in found.runs) - len(members)
     # Another table's record counted those that had no place there.
