@@ -72,6 +72,7 @@ def write_run(
     """
     with _staged(path) as staging:
         folder = RunFolder(staging, already_done=False)
+        folder.warnings = dataset.to_tell()
         count = _frames_done(output, dataset, settings.status)
         rows = _rows(output, dataset, settings, Protocol.from_mapping(config["protocol"]))[:count]
         _write_views(staging, output, dataset, on_progress)

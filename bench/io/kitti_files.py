@@ -40,7 +40,6 @@ def _is_number(word: str) -> bool:
     return True
 
 
-# Some converted copies of the data set call the line of the LiDAR as KITTI's other benchmarks do.
 _MATRIX = re.compile(r"P_rect_0(?P<raw>\d)|P(?P<odometry>\d)|Tr|Tr_velo_to_cam")
 _RAW_FILE = "calib_cam_to_cam.txt"
 
@@ -67,8 +66,10 @@ class KittiCalibration:
             # Other lines are of other lengths: KITTI raw's of the cameras before rectification, for example.
             if found := _MATRIX.fullmatch(key.strip()):
                 camera = found["raw"] or found["odometry"]
-                name = "Tr" if camera is None else f"P{camera}"
+                name = key.strip() if camera is None else f"P{camera}"
                 self._matrices[name] = parse_numbers(rest, 12, path, line).reshape(3, 4)
+            elif key.strip() == "R0_rect":
+                self._matrices["R0_rect"] = parse_numbers(rest, 9, path, line).reshape(3, 3)
 
     @classmethod
     def in_folders(cls, *folders: Path) -> KittiCalibration:
@@ -92,12 +93,16 @@ class KittiCalibration:
 
     def T_cam0_velodyne(self) -> Float:
         """4x4 rigid transform from the LiDAR's frame to cam0's; ``BenchError`` if ``Tr`` is absent."""
-        Tr = self._matrices.get("Tr")
+        # Some converted copies call the line as KITTI's other benchmarks do; there it leads to the camera
+        # before rectification, and R0_rect follows.
+        Tr = self._matrices.get("Tr", self._matrices.get("Tr_velo_to_cam"))
         if Tr is None:
             raise BenchError(
                 f"{self.path} has no line 'Tr:' although there are velodyne scans. Unpack KITTI's "
                 "data_odometry_calib.zip, whose calib.txt has it, or move the velodyne folder away."
             )
+        if "Tr" not in self._matrices:
+            Tr = self._matrices.get("R0_rect", np.eye(3)) @ Tr
         return np.vstack([Tr, [0.0, 0.0, 0.0, 1.0]])
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from kitti_disk import CX, CY, FX, T_CAM, TR, write_image, write_kitti
+from kitti_disk import CX, CY, FX, T_CAM, TR, row, write_image, write_kitti
 
 from bench.errors import BenchError
+from bench.io.kitti_files import KittiCalibration
 from plugins.datasets.kitti import Kitti, KittiConfig
 
 
@@ -284,6 +285,14 @@ def test_a_day_of_kitti_raw(tmp_path: Path) -> None:
     assert kitti.camera == before.camera
     np.testing.assert_allclose([kitti.frame(i).timestamp for i in range(4)], [0.0, 0.1, 0.2, 0.3])
     assert kitti.ground_truth() is None
+
+
+def test_calibration_as_kitti_object_has_it(tmp_path: Path) -> None:
+    """There Tr leads to the camera before rectification: a turn of 90 degrees about z is taken apart into both."""
+    folder = write_kitti(tmp_path)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    edit(folder / "calib.txt", r"^Tr: .*$", f"R0_rect: {row(turn)}\nTr_velo_to_cam: {row(turn.T @ TR)}")
+    np.testing.assert_allclose(KittiCalibration(folder / "calib.txt").T_cam0_velodyne()[:3], TR, atol=1e-12)
 
 
 def test_byte_order_marks_and_frames_without_pose(tmp_path: Path) -> None:
