@@ -9,6 +9,7 @@ import numpy as np
 
 from bench.errors import BenchError
 from bench.evaluation.frame_states import stretches
+from bench.evaluation.hints import hints
 from bench.evaluation.kitti_odometry import kitti_odometry_error
 from bench.evaluation.rpe import RpeResult, relative_pose_error
 from bench.evaluation.trajectory import AteResult, absolute_trajectory_error, static_camera_metrics
@@ -36,7 +37,9 @@ def score_pair(pair: TrajectoryPair, alignment: str) -> Score:
         raise BenchError(f"There is no ATE: {ate}. Check that both files are of the same drive.")
     rpe = relative_pose_error(ate.aligned, truth)
     kitti = kitti_odometry_error(ate.aligned, truth)
-    notes: dict[str, str] = {}
+    notes = hints(pair.estimate, truth)
+    if alignment == "sim3":
+        notes.pop("scale", None)  # It is asked for, and in the metrics.
     trajectory = ate.metrics() | static_camera_metrics(truth, ate.numbers)
     if isinstance(rpe, str):
         notes["rpe"] = rpe

@@ -7,6 +7,7 @@ from typing import Any
 from bench.contracts.evaluator import Evaluator
 from bench.contracts.metric import Metric
 from bench.contracts.saved_run import SavedRun
+from bench.evaluation.hints import hints
 from bench.evaluation.rpe import relative_pose_error
 from bench.evaluation.run_trajectory import estimate_and_truth
 from bench.evaluation.trajectory import absolute_trajectory_error, static_camera_metrics
@@ -26,7 +27,8 @@ class AteEvaluator(Evaluator):
     def evaluate(self, run: SavedRun) -> dict[str, Any]:
         """``trajectory.ate_rmse_m`` and mean, median, max, number of frames; None and a note without ground truth.
 
-        Beside it ``static_camera_ate_rmse_m``, what a camera that never moves would get.
+        Beside it ``static_camera_ate_rmse_m``, what a camera that never moves would get; and a note where the two seem
+        to be written in different conventions or units.
         """
         found = estimate_and_truth(run)
         if isinstance(found, str):
@@ -41,7 +43,9 @@ class AteEvaluator(Evaluator):
         write_trajectory_plot(run.path / PLOT_FILE, result, truth, None if isinstance(rpe, str) else rpe)
         for number, error in zip(result.numbers, result.errors_m, strict=True):
             run.add_per_frame("left", int(number), ate_m=float(error))
-        return {"trajectory": result.metrics() | static_camera_metrics(truth, result.numbers)}
+        errors = {"trajectory": result.metrics() | static_camera_metrics(truth, result.numbers)}
+        doubts = hints(estimate, truth)
+        return errors | ({"notes": doubts} if doubts else {})
 
 
 def _not_computed(reason: str, run: SavedRun) -> dict[str, Any]:

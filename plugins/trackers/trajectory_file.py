@@ -14,7 +14,7 @@ from bench.errors import BenchError, require_choice
 from bench.geometry.axis_conventions import suspected_convention
 from bench.io.trajectories import known_poses, read_kitti_poses, read_tum, read_tum_lines, values_per_line
 from bench.registry import PluginConfig, register
-from bench.types import Float, StereoFrame, TrackingResult, Trajectory
+from bench.types import Event, Float, StereoFrame, TrackingResult, Trajectory
 
 log = logging.getLogger(__name__)
 
@@ -61,6 +61,7 @@ class TrajectoryFile(Tracker):
         self._frames: list[tuple[int, float, Float]] = []
         self._seen = self._expected = 0
         self._in_gap = False
+        self._doubts: list[str] = []
 
     def start(self, dataset: Dataset) -> None:
         """Read the file and check that it covers the data set; raises ``BenchError`` if it does not.
@@ -68,7 +69,7 @@ class TrajectoryFile(Tracker):
         A trajectory that seems to be in another convention is warned of, not refused: nobody can be sure of it.
         """
         self._by_number, self._by_time, self._frames = {}, None, []
-        self._seen, self._expected, self._in_gap = 0, len(dataset), False
+        self._seen, self._expected, self._in_gap, self._doubts = 0, len(dataset), False, []
         if self._format() == "tum":
             _, poses = read_tum_lines(self._path)
             if self._config.match != "index":
@@ -86,22 +87,24 @@ class TrajectoryFile(Tracker):
             self._by_number = {number: T for number, T in indexed.items() if np.isfinite(T).all()}
         suspicion = suspected_convention(poses[known_poses(poses)])
         if suspicion is not None:
-            log.warning("tracker.path=%s: %s. Convert the file if that is so.", self._path, suspicion)
+            self._doubts.append(f"{self._path.name}: {suspicion}. Convert the file if that is so.")
 
     def track(self, frame: StereoFrame) -> TrackingResult:
         """The pose that belongs to the frame, or "lost"."""
         T = self._by_number.get(frame.number) if self._by_time is None else self._nearest(frame.timestamp)
         self._seen += 1
+        told = tuple(Event("warning", frame.number, {"text": text}) for text in self._doubts)
+        self._doubts = []
         if T is None:
             if self._seen == self._expected and not self._frames:
                 raise BenchError(self._no_match("no pose is near any frame in time"))
             if not self._in_gap:
                 log.warning("frame %d: %s", frame.number, self._gap_at(frame.timestamp))
             self._in_gap = True
-            return TrackingResult(None, "lost")
+            return TrackingResult(None, "lost", events=told)
         self._in_gap = False
         self._frames.append((frame.number, frame.timestamp, T))
-        return TrackingResult(T, "ok")
+        return TrackingResult(T, "ok", events=told)
 
     def trajectory(self) -> Trajectory:
         """Poses of the frames tracked so far; those without a pose are absent."""
@@ -148,9 +151,9 @@ class TrajectoryFile(Tracker):
             )
         within = int(((times > first - slack) & (times < last + slack)).sum())
         if within < _FEW * self._expected:
-            log.warning(
-                "tracker.path=%s has %d poses for %d frames, so most frames are lost; a file of keyframes only?",
-                *(self._path, within, self._expected),
+            self._doubts.append(
+                f"{self._path.name} has {within} poses for {self._expected} frames, so most frames are lost; a file of "
+                "keyframes only?"
             )
 
     def _gap_at(self, timestamp: float) -> str:

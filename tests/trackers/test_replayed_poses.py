@@ -120,6 +120,12 @@ def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.message for record in caplog.records if record.levelname == "WARNING"]
 
 
+def told(plugin: Any, dataset: Any) -> list[str]:
+    """The warnings among the events of all frames."""
+    events = [event for result in replay(plugin, dataset) for event in result.events]
+    return [event.values["text"] for event in events if event.kind == "warning"]
+
+
 @pytest.fixture
 def twenty(make_dataset: Any, small_camera: StereoCamera) -> Any:
     """Frames 0 to 19 at 10 Hz."""
@@ -139,12 +145,10 @@ def test_gaps_are_told_once_each(tmp_path: Path, twenty: Any, caplog: pytest.Log
     ]
 
 
-def test_a_file_of_keyframes_only(tmp_path: Path, twenty: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_file_of_keyframes_only(tmp_path: Path, twenty: Any) -> None:
     write_tum(tmp_path / "t.txt", Trajectory(drive(20)[::3], np.arange(7), 0.3 * np.arange(7)))
-    tracker("trajectory_file", path=str(tmp_path / "t.txt")).start(twenty)
-    assert warnings(caplog) == [
-        f"tracker.path={tmp_path / 't.txt'} has 7 poses for 20 frames, so most frames are lost; a file of keyframes "
-        "only?"
+    assert told(tracker("trajectory_file", path=str(tmp_path / "t.txt")), twenty) == [
+        "t.txt has 7 poses for 20 frames, so most frames are lost; a file of keyframes only?"
     ]
 
 
@@ -154,6 +158,7 @@ def test_a_complete_file_is_taken_without_a_word(tmp_path: Path, twenty: Any, ca
     for name in ("t.txt", "k.txt"):
         results = replay(tracker("trajectory_file", path=str(tmp_path / name)), twenty)
         assert {result.state for result in results} == {"ok"}
+        assert not [result.events for result in results if result.events]
     assert warnings(caplog) == []
 
 
@@ -167,23 +172,18 @@ def test_a_complete_file_is_taken_without_a_word(tmp_path: Path, twenty: Any, ca
         ),
     ],
 )
-def test_poses_of_another_convention_are_warned_of(
-    tmp_path: Path, twenty: Any, caplog: pytest.LogCaptureFixture, turned: np.ndarray, words: str
-) -> None:
+def test_poses_of_another_convention_are_warned_of(tmp_path: Path, twenty: Any, turned: np.ndarray, words: str) -> None:
     write_kitti(tmp_path / "k.txt", turned)
-    tracker("trajectory_file", path=str(tmp_path / "k.txt")).start(twenty)
-    (text,) = warnings(caplog)
-    assert text.startswith(f"tracker.path={tmp_path / 'k.txt'}: {words}")
+    (text,) = told(tracker("trajectory_file", path=str(tmp_path / "k.txt")), twenty)
+    assert text.startswith(f"k.txt: {words}")
     assert text.endswith("Convert the file if that is so.")
 
 
-def test_quaternions_with_w_first_are_warned_of(tmp_path: Path, twenty: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_quaternions_with_w_first_are_warned_of(tmp_path: Path, twenty: Any) -> None:
     text = "".join(f"{0.1 * i:.1f} 0 0 {i} 1 0 0 0\n" for i in range(20))
     (tmp_path / "t.txt").write_text(text)
-    tracker("trajectory_file", path=str(tmp_path / "t.txt")).start(twenty)
-    assert warnings(caplog) == [
-        f"tracker.path={tmp_path / 't.txt'}: the quaternions look like qw qx qy qz; TUM's order is qx qy qz qw. "
-        "Convert the file if that is so."
+    assert told(tracker("trajectory_file", path=str(tmp_path / "t.txt")), twenty) == [
+        "t.txt: the quaternions look like qw qx qy qz; TUM's order is qx qy qz qw. Convert the file if that is so."
     ]
 
 
