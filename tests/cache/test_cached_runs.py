@@ -147,7 +147,7 @@ def test_a_folder_that_can_not_be_written_costs_time_only(tmp_path: Path, caplog
     assert caplog.text.count("going on without keeping answers") == 1
 
 
-def test_what_the_network_raises_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_network_raises_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise OSError("the network's own trouble")
 

@@ -103,7 +103,7 @@ def test_a_selection_shares_nothing(which: Tensor | slice) -> None:
     assert marks_of(gaussians) == list(range(12))
 
 
-def test_a_restored_map_goes_on_alike(tmp_path: Path) -> None:
+def test_a_restored_map_learns_alike(tmp_path: Path) -> None:
     gaussians = marked()
     gaussians.keep(gaussians.planes[0] != 4)
     torch.save(gaussians.state(), tmp_path / "state.pt")

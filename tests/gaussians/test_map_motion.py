@@ -141,7 +141,7 @@ def test_pruning_does_not_mix_up_whose_gaussians_they_are(tmp_path: Path) -> Non
     np.testing.assert_allclose((new_means - means)[:, 0], np.where(of_second, 0.5, 0.0), atol=1e-5)
 
 
-def test_learning_goes_on_as_if_nothing_had_moved() -> None:
+def test_learning_continues_as_if_nothing_had_moved() -> None:
     """A half turn about y maps axes to axes, for which Adam is blind: learning after it must do what it did before."""
     half_turn = axis_turn((0, 1, 0), 180.0, (3.0, 0.0, -2.0))
     stayed, went = (mapped(iterations=10, final_iterations=0) for _ in range(2))

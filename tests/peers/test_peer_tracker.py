@@ -146,7 +146,7 @@ def test_poses_that_are_no_poses_are_lost_frames_and_told_once(caplog: pytest.Lo
     assert warnings(caplog) == ["frame 11: the pose that fake gave is no rigid motion; lost"]
 
 
-def test_a_new_map_of_the_peer_goes_on_where_the_camera_must_be(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_new_map_of_the_peer_begins_where_the_camera_must_be(caplog: pytest.LogCaptureFixture) -> None:
     results = drive(FakeTracker(events={"12": "lost", "13": "lost", "14": "new map"}), 6)
     assert states(results) == "ok ok lost lost weak ok"
     assert z(results) == [0, 1, None, None, 4, 5]

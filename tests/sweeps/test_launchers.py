@@ -162,7 +162,7 @@ def parent_of(pid: int) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", [needed("joblib"), needed("slurm_local")])
-def test_a_killed_worker_ends_no_other_run_and_the_same_command_goes_on(
+def test_a_killed_worker_ends_no_other_run_and_the_same_command_resumes(
     make_bench: MakeBench, basic: Bench, launcher: str
 ) -> None:
     """It hangs in the last row of the first seed, so that six runs are made before; joblib is to make seven after."""

@@ -102,7 +102,7 @@ def test_failures_end_nothing_else_and_are_chosen_by_kind(
 
 
 @pytest.mark.slow
-def test_a_killed_sweep_goes_on_to_the_same_table(
+def test_a_killed_sweep_is_resumed_to_the_same_table(
     make_bench: MakeBench, unbroken: Bench, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """First a run is killed with SIGKILL, then the sweep itself; the run that it leaves behind is not made twice."""

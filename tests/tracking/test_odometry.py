@@ -47,7 +47,7 @@ def test_new_keyframes_are_shown_and_counted(drive: Any, odometry: Any) -> None:
     assert len(tracker.keyframe_poses()) == 3
 
 
-def test_correction_moves_everything_and_tracking_goes_on(drive: Any, odometry: Any) -> None:
+def test_correction_moves_everything_and_tracking_continues(drive: Any, odometry: Any) -> None:
     """All keyframes moved by one rigid motion: what follows must be the uncorrected track, moved by it."""
     motion = se3.exp(np.array([3.0, -1.0, 7.0, 0.1, -0.4, 0.05]))
     plain, corrected = odometry(), odometry()

@@ -26,7 +26,7 @@ def server() -> Iterator[CuttingServer]:
         yield running
 
 
-def test_a_cut_download_goes_on_where_it_was(server: CuttingServer, tmp_path: Path) -> None:
+def test_a_cut_download_is_resumed_where_it_was(server: CuttingServer, tmp_path: Path) -> None:
     server.cuts = [100_000, 50_000]
     told: list[tuple[int, int | None]] = []
     download(server.url, tmp_path / "a" / "net.pth", SHA256, lambda *now: told.append(now), pause_s=0)
@@ -36,7 +36,7 @@ def test_a_cut_download_goes_on_where_it_was(server: CuttingServer, tmp_path: Pa
     assert [file.name for file in (tmp_path / "a").iterdir() if not file.name.endswith(".lock")] == ["net.pth"]
 
 
-def test_the_next_command_goes_on_too(server: CuttingServer, tmp_path: Path) -> None:
+def test_the_next_command_resumes_it_too(server: CuttingServer, tmp_path: Path) -> None:
     target = tmp_path / "net.pth"
     server.cuts = [70_000]
     with pytest.raises(BenchError, match=r"stopped after 70000 bytes .*Give the command again: it resumes from there"):

@@ -222,7 +222,7 @@ class LoopCloser:
         keyframes = self._keyframes()
         for run in self._runs:
             way, _ = self._chain.way(keyframes[[run.last.new]], keyframes[match.new])
-            if run.last.new < match.new and run.goes_on_with(match, self._at_places, float(way[0])):
+            if run.last.new < match.new and run.continues_with(match, self._at_places, float(way[0])):
                 run.append(match)
                 return
         self._runs.append(Run([match], waiting=1))

@@ -57,7 +57,7 @@ class Run:
         step = se3.inverse(T_world_places[self.last.new]) @ T_world_places[new]
         return T_world_places[self.last.old] @ self.last.verified.T_old_new @ step
 
-    def goes_on_with(self, match: Match, T_world_places: Float, way: float) -> bool:
+    def continues_with(self, match: Match, T_world_places: Float, way: float) -> bool:
         """Whether a match agrees with this run; ``way`` is the length in metres of the road since the last match."""
         measured = T_world_places[match.old] @ match.verified.T_old_new
         difference = se3.inverse(self.predicted(T_world_places, match.new)) @ measured
