@@ -78,7 +78,13 @@ def test_a_tracker_that_looks_at_the_map_is_resumed_to_the_bit(tmp_path: Path, m
 @pytest.mark.slow
 def test_a_tracker_that_looks_at_the_map_stays_within_a_centimetre(tmp_path: Path) -> None:
     """14 frames of 10 cm each; the street knows its poses. A camera that never moves has 40 cm."""
-    slow = ("dataset=street", "dataset.frames=14", "dataset.speed_m=0.1", "protocol.lpips=false", "protocol.right_view=false")
+    slow = (
+        "dataset=street",
+        "dataset.frames=14",
+        "dataset.speed_m=0.1",
+        "protocol.lpips=false",
+        "protocol.right_view=false",
+    )
     folder = run(tmp_path / "run", *slow, "tracker=map_align", "mapper.final_iterations=0", "evaluator=[ate]")
     found = evaluate_run(folder)["trajectory"]
     assert found["ate_rmse_m"] < 0.01
