@@ -18,21 +18,25 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import Override, RangeSweep
 from hydra.errors import ConfigCompositionException, HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError  # type: ignore[import-untyped]  # comes with omegaconf
 
 from bench import registry
 from bench.cache.settings import CacheConfig
 from bench.discovery import load_plugins
 from bench.errors import BenchError, did_you_mean, first_line, require_choice
+from bench.hydra_settings import EXPERIMENT, SEARCH_PATH, config_folders, configs_in, require_known
 from bench.installed_data import config_folder
 from bench.plugin_config import plugin_config_from, plugins_in
 from bench.protocol import Protocol
 from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, PluginConfig
 from bench.runs.config_file import NO_PART_OF_THE_RUN, RUNS_FOLDER
 from bench.runs.watchdog import LimitsConfig
+
+INSTEAD_OF_AN_INTERVAL = "Add sweeper=optuna sweeper.metric=NAME, or write a,b,c or range(FROM,TO,STEP)."
 
 
 @dataclass
@@ -155,7 +159,13 @@ def compose_run(overrides: Sequence[str]) -> RunConfig:
             composed = compose("config", [_hydra_line(override) for override in parsed])
         except (HydraException, OmegaConfBaseException) as error:
             raise BenchError(_explain(error, parsed)) from error
+        except YAMLError as error:
+            raise BenchError(
+                f"A config of yours is no YAML: {' '.join(str(error).split())}. Mend that line."
+            ) from error
     config = resolved(composed)
+    if others := [folder for folder in config.values["plugins"] if folder not in plugin_folders(parsed)]:
+        raise BenchError(f"A config names the plugin folder {others[0]}; give it on the command line, plugins=[...].")
     config.parse()
     return config
 
@@ -168,11 +178,22 @@ def combinations(overrides: Sequence[str]) -> list[list[str]]:
         if not override.is_sweep_override():
             choices.append([line])
             continue
+        if override.is_interval_sweep():
+            raise BenchError(f"{line}: an interval is searched, not enumerated. {INSTEAD_OF_AN_INTERVAL}")
         try:
-            choices.append([f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()])
+            choices.append([f"{override.get_key_element()}={value}" for value in _values(override)])
         except HydraException as error:
             raise BenchError(f"{line}: {first_line(error)}. Write the values with commas between them.") from error
     return [list(cell) for cell in itertools.product(*choices)]
+
+
+def _values(override: Override) -> list[str]:
+    """What a swept override enumerates; raises ``HydraException`` for an impossible range."""
+    sweep = override.value()
+    if isinstance(sweep, RangeSweep) and not sweep.shuffle:
+        # As one writes them: not 0.30000000000000004.
+        return [str(round(value, 12)) for value in sweep.range()]
+    return list(override.sweep_string_iterator())
 
 
 def compose_sweep(overrides: Sequence[str]) -> list[RunConfig]:
@@ -199,7 +220,10 @@ def resolved(composed: DictConfig) -> RunConfig:
     plain: dict[str, Any] = {str(key): value for key, value in values.items()}
     _check_root(plain)
     for kind in RUN_KINDS:
-        if plain[kind] is None and kind not in SEVERAL_AT_ONCE:
+        if kind in SEVERAL_AT_ONCE:
+            # loss.geo=null leaves the term out, as ~loss.geo does.
+            plain[kind] = {name: part for name, part in (plain[kind] or {}).items() if part is not None}
+        elif plain[kind] is None:
             raise BenchError(f"No {kind} is chosen; there are {', '.join(registry.names(kind))}.")
     for kind, mapping in plugins_in(plain):
         _make_paths_absolute(kind, mapping)
@@ -235,6 +259,9 @@ def check_overrides(overrides: Sequence[str]) -> list[Override]:
             f"Can't read the override '{error.override}': {first_line(error)}. Write key=value, for example "
             "stereo=sgbm; quote values with spaces or special characters."
         ) from error
+    for override in parsed:
+        require_known(override)
+    folders = config_folders(parsed)
     load_plugins(plugin_folders(parsed))
     for override in parsed:
         group = _group_of(override)
@@ -242,11 +269,17 @@ def check_overrides(overrides: Sequence[str]) -> list[Override]:
             continue
         value = override.value()
         for name in value if isinstance(value, list) else [value]:
-            if str(name) not in _options(group):
+            options = options_of(group, folders)
+            if group == EXPERIMENT and not options:
+                raise BenchError(
+                    f"{override.input_line}: there is no {EXPERIMENT}/{name}.yaml of yours. Give --config-dir FOLDER, "
+                    "the folder that holds it."
+                )
+            if str(name) not in options:
                 kind = registry.nested_groups.get(group, group)
                 if kind in registry.KINDS:
-                    _raise_unknown(kind, str(name), _options(group))
-                require_choice(group, str(name), _options(group))
+                    _raise_unknown(kind, str(name), options)
+                require_choice(group, str(name), options)
     return parsed
 
 
@@ -255,12 +288,15 @@ def _group_of(override: Override) -> str | None:
     group = override.key_or_group.replace(".", "/")
     if group in registry.nested_groups:
         return None if isinstance(override.value(), dict) else group
-    return group if group in (*RUN_KINDS, "system", "protocol") else None
+    return group if group in (*RUN_KINDS, "system", "protocol", EXPERIMENT) else None
 
 
 def _hydra_line(override: Override) -> str:
-    """The override as Hydra wants it: the choice of a plugin that is another's setting names a group, not a key."""
+    """The override as Hydra wants it: the choice of a plugin that is another's setting names a group, not a key; an
+    experiment is added to what the bench's own config has chosen."""
     group, line = _group_of(override), override.input_line or ""
+    if group == EXPERIMENT and not override.is_add():
+        return f"+{line}"
     return line.replace(override.key_or_group, group, 1) if group in registry.nested_groups else line
 
 
@@ -280,9 +316,9 @@ def _raise_unknown(kind: str, name: str, options: list[str]) -> typing.NoReturn:
     raise BenchError(f"Unknown {kind} '{name}'. Known: {', '.join(options)}.")
 
 
-def _options(group: str) -> list[str]:
-    """Names that ``group=`` accepts: registered plugins and the presets in ``conf/``."""
-    presets = {file.stem for file in (config_folder() / group).glob("*.yaml")}
+def options_of(group: str, folders: Sequence[Path] = ()) -> list[str]:
+    """Names that ``group=`` accepts: registered plugins, and the presets in ``conf/`` and the user's ``folders``."""
+    presets = set(configs_in([config_folder(), *folders], group))
     stored = {"default"} if group == "protocol" else set()
     return sorted(presets | stored | set(registry.names(registry.nested_groups.get(group, group))))
 
@@ -304,11 +340,15 @@ def _explain(error: Exception, parsed: list[Override]) -> str:
     for override in parsed:
         if override.is_sweep_override():
             return f"{override.input_line} names several values; add -m to run them all, or quote the value."
-    choices = [_hydra_line(o) for o in parsed if _group_of(o) not in (None, *registry.nested_groups)]
+    choices = [o.input_line or "" for o in parsed if o.key_or_group == SEARCH_PATH]
+    choices += [_hydra_line(o) for o in parsed if _group_of(o) not in (None, *registry.nested_groups)]
     try:
         base = compose("config", choices)
     except (HydraException, OmegaConfBaseException):
-        return first_line(cause)
+        reason = first_line(cause)
+        if f"Key '{EXPERIMENT}' not in" in reason:
+            reason += "; its file must begin with '# @package _global_'"
+        return f"{reason}."
     # Plugins that are settings of others before the settings of those.
     for override in sorted(parsed, key=lambda each: _group_of(each) is None):
         if _hydra_line(override) in choices:

@@ -33,8 +33,12 @@ def require_choice(what: str, value: str, accepted: Iterable[str]) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of an error's text, without its full stop: what to quote of another library's error."""
-    return str(error).strip().split("\n", 1)[0].rstrip(".")
+    """The first line of an error's text, without its full stop: what to quote of another library's error.
+
+    With the second where the first only announces it.
+    """
+    first, *others = str(error).strip().split("\n")
+    return (f"{first} {others[0].strip()}" if first.endswith(":") and others else first).rstrip(".")
 
 
 def require_least(where: str, config: object, **least: float) -> None:

@@ -10,10 +10,12 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.commands.hydra_flags import add_hydra_flags, given_overrides
 from bench.config import check_overrides, plugin_folders, with_home
 from bench.runs.config_file import CONFIG_FILE
 from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
 from bench.sweeps.launchers.make import make_runs
+from bench.sweeps.listing import list_plan, list_skipped, say
 from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import Plan, make_plan
 from bench.sweeps.sweep import Choice
@@ -61,6 +63,7 @@ def add_parser(subparsers: Any) -> None:
         "--out", type=Path, default=Path("results/tables"), metavar="FOLDER", help="default: results/tables"
     )
     parser.add_argument("--views", choices=VIEW_GROUPS, default="left", help="whose image metrics (default: all left)")
+    add_hydra_flags(parser)
     parser.set_defaults(run=run)
 
 
@@ -69,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises ``BenchError`` for wrong input, before anything is run.
     """
-    overrides, launcher = split_launcher(args.overrides, args.jobs)
+    overrides, launcher = split_launcher(given_overrides(args), args.jobs)
     folders = plugin_folders(check_overrides(with_home(overrides)))
     table = named_table(args.table, folders)
     chosen, overrides = choose_rows(table, overrides)
@@ -77,21 +80,21 @@ def run(args: argparse.Namespace) -> int:
     choice = Choice(interrupted=not args.missing, failed=args.rerun_failed)
     console = Console()
     if args.dry_run:
-        _show(plan, choice, console)
+        list_plan(plan, choice, console)
         return 0
-    _say_skipped(plan, console)
+    list_skipped(plan, console)
     wanted = [planned for planned in plan.runs if choice.wants(look_up(planned.folder).progress)]
     how = f"{launcher.at_once} at once" if launcher.at_once else "as many at once as the cluster gives"
-    _say(f"{table.name}: {len(plan.runs)} runs, {len(wanted)} to make, {how}, in {plan.root}", console)
+    say(f"{table.name}: {len(plan.runs)} runs, {len(wanted)} to make, {how}, in {plan.root}", console)
     if launcher.at_once != 1 and any(metric.unit == "s/frame" for metric in table.metrics):
-        _say("note: runs that share the cores are slower; for times to publish make one at once", console)
+        say("note: runs that share the cores are slower; for times to publish make one at once", console)
     try:
         make_runs(plan, launcher, choice, SweepView(console, table.name, plan.runs, launcher.at_once))
     except KeyboardInterrupt:
-        _say(f"stopped; {_counted(plan)}. The same command resumes from there.", console)
+        say(f"stopped; {_counted(plan)}. The same command resumes from there.", console)
         return 130
     _write_table(table, chosen, plan, args, console)
-    _say(f"{table.name}: {_counted(plan)}", console)
+    say(f"{table.name}: {_counted(plan)}", console)
     return 0 if all(look_up(planned.folder).progress == "finished" for planned in plan.runs) else 1
 
 
@@ -105,32 +108,12 @@ def _seeds(text: str) -> tuple[int, ...]:
     return seeds
 
 
-def _show(plan: Plan, choice: Choice, console: Console) -> None:
-    """The plan of ``--dry-run``: a line for each run, in order, and why the others are left."""
-    for planned in plan.runs:
-        found = look_up(planned.folder)
-        reason = f" ({found.reason})" if found.reason else ""
-        what = "run " if choice.wants(found.progress) else "keep"
-        _say(f"{what} {found.progress}{reason}: {planned.label}, {planned.frames} frames, {planned.folder}", console)
-    _say_skipped(plan, console)
-
-
-def _say_skipped(plan: Plan, console: Console) -> None:
-    """A line for each reason, with the cells that it keeps from being run."""
-    by_reason: dict[str, list[str]] = {}
-    for skipped in plan.skipped:
-        by_reason.setdefault(skipped.reason, []).append(f"{skipped.cell.row}, {skipped.cell.column}")
-    for reason, labels in by_reason.items():
-        more = f" and {len(labels) - 2} more" if len(labels) > 2 else ""
-        _say(f"skipped: {'; '.join(labels[:2])}{more}: {reason}", console)
-
-
 def _write_table(table: NamedTable, chosen: NamedTable, plan: Plan, args: argparse.Namespace, console: Console) -> None:
     """Print the table of this plan's runs alone, where some rows were ``chosen`` with what is there of the others, and
     write it in every format; without any run there is none."""
     folders = [planned.folder for planned in plan.runs if (planned.folder / CONFIG_FILE).is_file()]
     if not folders:
-        _say("no run was made, so the table was not written", console)
+        say("no run was made, so the table was not written", console)
         return
     kept = read_runs(folders, args.views)
     if chosen is not table:
@@ -138,7 +121,7 @@ def _write_table(table: NamedTable, chosen: NamedTable, plan: Plan, args: argpar
     filled = fill_table(table, kept)
     filled.print(console)
     for file in filled.write(args.out):
-        _say(f"wrote {file}", console)
+        say(f"wrote {file}", console)
 
 
 def _of_other_rows(table: NamedTable, chosen: NamedTable, plan: Plan, args: argparse.Namespace) -> list[RunRecord]:
@@ -156,7 +139,3 @@ def _counted(plan: Plan) -> str:
     """How many runs are in which state, for example "19 finished, 2 failed"."""
     counts = Counter(look_up(planned.folder).progress for planned in plan.runs)
     return ", ".join(f"{count} {progress}" for progress, count in counts.most_common())
-
-
-def _say(text: str, console: Console) -> None:
-    console.print(text, markup=False, highlight=False, soft_wrap=True)

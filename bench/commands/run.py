@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from bench.commands.hydra_flags import add_config_flags, add_hydra_flags, config_text, given_overrides, wants_config
 from bench.config import RunConfig, compose_run
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
-from bench.runs.config_file import CONFIG_FILE
+from bench.runs.config_file import CONFIG_FILE, RUNS_FOLDER
 from bench.runs.folder import LOG_FILE, METRICS_FILE
 from bench.runs.lock import only_one
 from bench.runs.status import read_status, without_scores
 from bench.runs.watchdog import Watchdog
+from bench.saved_config import overrides_of
 from bench.slam.run import run_system
 from bench.sweeps.combinations import plan_combinations, require_writable
-from bench.sweeps.experiment import EXPERIMENT
+from bench.sweeps.experiment import table_experiments
 from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
 from bench.sweeps.launchers.make import make_runs
+from bench.sweeps.listing import list_plan, list_skipped, say
 from bench.sweeps.lookup import look_up
 from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView
@@ -39,7 +43,12 @@ _EXAMPLES = """examples:
   bgs-bench run -m seed=0,1,2 system=bgs_slam,bgs_slam_paper
   bgs-bench run -m experiment=ablation dataset.root=DIR seed=0,1,2 --jobs 2
   bgs-bench run -m seed=0,1,2 launcher=slurm hydra.launcher.partition=gpu
+  bgs-bench run --config-dir conf +experiment=mine               # conf/experiment/mine.yaml
+  bgs-bench run --from results/runs/3f2a9c01d4e5 seed=1
 """
+
+# How the overrides begin that say how a sweep is made.
+_OF_SWEEPS = ("launcher=", "hydra.launcher.", "sweeper=", "sweeper.")
 
 
 def add_parser(subparsers: Any) -> None:
@@ -53,27 +62,48 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="what differs from conf/config.yaml")
     parser.add_argument("-m", "--multirun", action="store_true", help="run every combination of the values given")
     parser.add_argument("--jobs", type=count_of_jobs, metavar="N", help="with -m: so many at once (default: 1)")
-    parser.add_argument("--print-config", action="store_true", help="print the composed config and stop")
+    parser.add_argument(
+        "--from", dest="from_run", type=Path, metavar="RUN_FOLDER", help="make that run again, with these overrides"
+    )
+    parser.add_argument("--dry-run", action="store_true", help="say what would be run, and in which folder, and stop")
+    add_config_flags(parser)
+    add_hydra_flags(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Compose, run, score and print; with ``-m`` every combination, each in its own folder."""
-    console = Console()
+    console, only_shown = Console(), wants_config(args)
+    overrides = given_overrides(args)
+    if args.from_run is not None:
+        overrides = overrides_of(args.from_run, overrides)
     if args.multirun:
-        return _multirun(args, console)
-    if any(override.startswith(EXPERIMENT) for override in args.overrides):
+        return _multirun(overrides, args, console)
+    if table_experiments(overrides):
         raise BenchError("experiment= stands for many runs; add -m.")
-    if args.jobs is not None or any(override.startswith("launcher=") for override in args.overrides):
-        raise BenchError("launcher= and --jobs are for many runs; add -m.")
-    config = compose_run(args.overrides)
-    if args.print_config:
-        print(OmegaConf.to_yaml(OmegaConf.create(config.values)), end="")
+    if args.jobs is not None or any(each.lstrip("+").startswith(_OF_SWEEPS) for each in overrides):
+        raise BenchError("launcher=, sweeper= and --jobs are for many runs; add -m.")
+    config = compose_run(overrides)
+    if args.from_run is not None and config.values["output"] is None:
+        config = replace(config, values=config.values | {"output": str(_new_folder(config))})
+    if only_shown:
+        print(config_text(config, args.package), end="")
+        return 0
+    if args.dry_run:
+        found = look_up(config.output)
+        say(f"{'keep' if found.progress == 'finished' else 'run '} {found.progress}: {config.output}", console)
         return 0
     path = _run_one(config, console)
     print_table([collect_row(path)], console)
     console.print(f"run folder: {path}", markup=False, highlight=False, soft_wrap=True)
     return 0
+
+
+def _new_folder(config: RunConfig) -> Path:
+    """The folder of a run that is made again: its usual one, or where that run is finished one beside it."""
+    usual = RUNS_FOLDER / config.hash
+    candidates = (usual.with_name(f"{usual.name}-{number}") for number in itertools.count(2))
+    return next(folder for folder in itertools.chain([usual], candidates) if look_up(folder).progress != "finished")
 
 
 def _run_one(config: RunConfig, console: Console) -> Path:
@@ -149,15 +179,24 @@ def _failure(error: BaseException, folder: Path) -> str:
     return f"The run failed: {type(error).__name__}: {text} (line {raised.lineno} of {raised.filename}{log_file})"
 
 
-def _multirun(args: argparse.Namespace, console: Console) -> int:
+def _multirun(given: list[str], args: argparse.Namespace, console: Console) -> int:
     """Every combination of the swept values, each in its own folder and process; one that fails stops no other."""
-    overrides, launcher = split_launcher(args.overrides, args.jobs)
+    overrides, launcher = split_launcher(given, args.jobs)
     plan = plan_combinations(overrides)
-    require_writable(plan.root)
     rerun = any(planned.config.values["rerun"] for planned in plan.runs)
+    choice = Choice(failed=True, finished=rerun)
+    if wants_config(args):
+        texts = (f"# {each.label}: {each.folder}\n{config_text(each.config, args.package)}" for each in plan.runs)
+        print("---\n".join(texts), end="")
+        return 0
+    if args.dry_run:
+        list_plan(plan, choice, console)
+        return 0
+    require_writable(plan.root)
+    list_skipped(plan, console)
     view = SweepView(console, "sweep", plan.runs, launcher.at_once)
     try:
-        make_runs(plan, launcher, Choice(failed=True, finished=rerun), view)
+        make_runs(plan, launcher, choice, view)
     except KeyboardInterrupt:
         console.print("stopped; the same command resumes from there.", soft_wrap=True)
         return 130

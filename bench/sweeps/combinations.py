@@ -6,30 +6,76 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from bench.config import check_overrides, combinations, with_home
+from hydra.core.override_parser.types import Glob, Override
+
+from bench import registry
+from bench.config import check_overrides, combinations, options_of, with_home
 from bench.errors import BenchError
+from bench.hydra_settings import config_folders
 from bench.runs.config_file import RUNS_FOLDER
-from bench.sweeps.experiment import expand_experiment
-from bench.sweeps.plan import Plan, PlannedRun, compose_cell, quoted, sharing
+from bench.sweeps.experiment import EXPERIMENT, expand_experiment
+from bench.sweeps.plan import Plan, PlannedRun, Skipped, compose_cell, quoted, sharing
 from bench.tables.named.definitions import Cell
 
 
 def plan_combinations(overrides: Sequence[str]) -> Plan:
     """Compose every combination, so that a wrong value is known before the first run starts; each is run once.
 
-    ``output=`` names the folder that gets the run folders. Raises ``BenchError`` for wrong overrides.
+    ``output=`` names the folder that gets the run folders. ``stereo=glob(*)`` is every backbone that can run here; the
+    others are skipped. Raises ``BenchError`` for wrong overrides.
     """
     runs: dict[Path, PlannedRun] = {}
-    for cell, of_cell in expand_experiment(with_home(overrides)):
+    given, skipped = expand_globs(with_home(overrides))
+    for cell, of_cell in expand_experiment(given):
         swept = [o.get_key_element() for o in check_overrides(of_cell) if o.is_sweep_override()]
         for combination in combinations(of_cell):
-            planned = _planned(cell, combination, swept)
+            planned = planned_run(cell, combination, swept)
             runs.setdefault(planned.folder.absolute(), planned)
     first = next(iter(runs.values()))
-    return Plan(tuple(runs.values()), (), first.folder.parent)
+    return Plan(tuple(runs.values()), tuple(skipped), first.folder.parent)
 
 
-def _planned(cell: Cell, combination: list[str], swept: Sequence[str]) -> PlannedRun:
+def expand_globs(overrides: Sequence[str]) -> tuple[list[str], list[Skipped]]:
+    """The overrides with the names that a ``glob(...)`` fits in its place, and those that can't run here.
+
+    Raises ``BenchError`` for a glob of what is no choice of a plugin or preset, and for one that fits nothing.
+    """
+    if not any("glob(" in each for each in overrides):
+        return list(overrides), []
+    # An experiment is looked up later; a table's is no choice that Hydra knows.
+    parsed = check_overrides([each for each in overrides if not each.lstrip("+").startswith(EXPERIMENT)])
+    globs = {override.input_line: override for override in parsed if isinstance(override.value(), Glob)}
+    folders = config_folders(parsed)
+    skipped: list[Skipped] = []
+    expanded = [_without_glob(globs[each], folders, skipped) if each in globs else each for each in overrides]
+    return expanded, skipped
+
+
+def _without_glob(override: Override, folders: Sequence[Path], skipped: list[Skipped]) -> str:
+    """The override with the names in place of its glob; adds to ``skipped`` what can't run here."""
+    glob, group = override.value(), override.key_or_group.replace(".", "/")
+    assert isinstance(glob, Glob)
+    options = options_of(group, folders)
+    if not options:
+        raise BenchError(
+            f"{override.input_line}: glob(...) chooses plugins and presets, as stereo=glob(*). Write a,b,c here."
+        )
+    kind = registry.nested_groups.get(group, group)
+    fitting = []
+    for name in glob.filter(options):
+        is_plugin = kind in registry.KINDS and name in registry.names(kind)
+        reason = registry.lookup(kind, name).unavailable_reason() if is_plugin else None
+        if reason:
+            skipped.append(Skipped(Cell(f"{override.get_key_element()}={name}", "", ()), reason))
+        else:
+            fitting.append(name)
+    if not fitting:
+        raise BenchError(f"{override.input_line} fits nothing that can run here; there are {', '.join(options)}.")
+    return f"{override.get_key_element()}={','.join(fitting)}"
+
+
+def planned_run(cell: Cell, combination: Sequence[str], swept: Sequence[str]) -> PlannedRun:
+    """The run of one combination, in the folder of its hash; ``swept`` are the settings that its label tells."""
     config = compose_cell(cell, combination)
     folder = Path(config.values["output"] or RUNS_FOLDER) / config.hash
     keys = [each.partition("=")[0] for each in combination]
