@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from omegaconf import OmegaConf
 
@@ -32,9 +32,9 @@ _INSTEAD = {
 class _Instead(argparse.Action):
     """A flag that says what to use instead of it."""
 
-    def __call__(self, parser: Any, namespace: Any, values: Any, option: str | None = None) -> NoReturn:
-        """Raise the sentence."""
-        raise BenchError(f"{option}: {self.const}.")
+    def __call__(self, parser: argparse.ArgumentParser, _: Any, __: Any, option: str | None = None) -> None:
+        """Say it, and exit as for wrong input."""
+        parser.exit(BenchError.exit_code, f"bgs-bench: {option}: {self.const}.\n")
 
 
 class _Version(argparse.Action):

@@ -63,8 +63,8 @@ def _without_glob(override: Override, folders: Sequence[Path], skipped: list[Ski
     kind = registry.nested_groups.get(group, group)
     fitting = []
     for name in glob.filter(options):
-        is_plugin = kind in registry.KINDS and name in registry.names(kind)
-        reason = registry.lookup(kind, name).unavailable_reason() if is_plugin else None
+        plugin = registry.lookup(kind, name) if name in registry.names(kind) else None  # else a preset
+        reason = None if plugin is None else plugin.unavailable_reason() or plugin.missing_weights()
         if reason:
             skipped.append(Skipped(Cell(f"{override.get_key_element()}={name}", "", ()), reason))
         else:
