@@ -25,8 +25,8 @@ def doubt_about_size(camera: StereoCamera) -> str | None:
     if scaled:
         times = 1 + (x + y) / 2
         return (
-            f"{found}: the calibration seems to be of images {times:.2g} times as large. Multiply fx, fy, cx, cy by "
-            f"{1 / times:.2g}, or use the images that it was made for."
+            f"{found}: the calibration seems to be of images about {times:.2g} times as large. Multiply fx, fy, cx, cy "
+            "by what the images were resized by, or use the images that it was made for."
         )
     turned = 2 * camera.cx / camera.height - 1, 2 * camera.cy / camera.width - 1
     why = "width and height exchanged" if max(map(abs, turned)) < _ONE else "cropped images, or of another camera"

@@ -33,9 +33,10 @@ _DECODED_AT_ONCE = 32
 
 
 def describe_files(files: Sequence[Path]) -> str:
-    """What a folder holds in place of the images looked for, for example ``"5 .tif, 1 .txt"``."""
+    """What a folder holds in place of the images looked for, for example ``"5 .tif, 1 .txt, the first a.tif"``."""
     counts = Counter(file.suffix or "without extension" for file in files if file.is_file())
-    return ", ".join(f"{count} {suffix}" for suffix, count in counts.most_common(4)) or "no file"
+    shown = ", ".join(f"{count} {suffix}" for suffix, count in counts.most_common(4))
+    return f"{shown}, the first {min(file.name for file in files)}" if shown else "no file"
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -110,8 +111,7 @@ class ImageSequence:
     def __init__(self, paths: Sequence[Path]) -> None:
         """Check all headers; ``BenchError`` names the first image that is damaged or of another size than the first."""
         self.size = require_one_size(paths)
-        deep = [path for path in paths if _is_16_bit(path)]
-        self._bits, self.remarks = (_FULL_BITS, ()) if not deep else _bits_in_use(deep)
+        self._bits, self.remarks = bits_in_use(paths)
 
     def read(self, path: Path) -> Image:
         """Decode an image of the sequence, as ``read_rgb``."""
@@ -124,9 +124,14 @@ def _is_16_bit(path: Path) -> bool:
     return start.startswith(_PNG_START) and start[24] == _FULL_BITS
 
 
-def _bits_in_use(paths: Sequence[Path]) -> tuple[int, tuple[str, ...]]:
-    """Bits that hold the values of these 16-bit PNGs: as a file says (sBIT), else the fewest that hold the largest."""
-    largest = 0
+def bits_in_use(paths: Sequence[Path]) -> tuple[int, tuple[str, ...]]:
+    """Bits that hold the values of the 16-bit PNGs among these images, and a remark where those are fewer than 16.
+
+    As a file says (sBIT), else the fewest of a camera that hold the largest value.
+    """
+    paths, largest = [path for path in paths if _is_16_bit(path)], 0
+    if not paths:
+        return _FULL_BITS, ()
     with ThreadPoolExecutor() as pool:
         for at in range(0, len(paths), _DECODED_AT_ONCE):
             largest = max(largest, *pool.map(_largest_value, paths[at : at + _DECODED_AT_ONCE]))

@@ -153,5 +153,4 @@ def _times(config: FolderConfig, left: NamedFiles) -> tuple[Float | None, tuple[
         return left.times, ()
     if values_per_line(Path(config.poses).expanduser(), "pose file") != 8:
         return None, ()
-    times, remarks = read_times(beside, left)
-    return times, (*remarks, f"the images' times are those of {beside.name}")
+    return read_times(beside, left)

@@ -62,6 +62,8 @@ class Kitti(Dataset):
         self.numbers = _frames_on_disk(self._left, self._right, folders, config)
         calibration = KittiCalibration.in_folders(folder, root)
         self._t_left = calibration.projection(left)[1]
+        self._scans: dict[int, Path] = {}
+        self._lines = {"times": 0, "poses": 0}
         self._T_left_velodyne = self._check_scans(calibration)
         self._times = self._read_times(folders[0])
         self._poses = self._read_poses(root / "poses" / f"{sequence}.txt")
@@ -90,8 +92,8 @@ class Kitti(Dataset):
 
     def lidar_depth(self, position: int) -> Map | None:
         """The scan of this frame in the left image, or None where the data set has no scan of it."""
-        path = self._scan(self.numbers[position])
-        if self._T_left_velodyne is None or not path.is_file():
+        path = self._scans.get(self.numbers[position])
+        if self._T_left_velodyne is None or path is None:
             return None
         points = read_scan(path)
         # Points behind the vehicle can't be seen; dropping them first halves the work.
@@ -99,22 +101,27 @@ class Kitti(Dataset):
         T = self._T_left_velodyne
         return project_to_depth(points @ T[:3, :3].T + T[:3, 3], self.camera)
 
-    def _scan(self, number: int) -> Path:
-        return self._folder / "velodyne" / f"{number:06d}.bin"
-
     def _check_scans(self, calibration: KittiCalibration) -> Float | None:
         if not (self._folder / "velodyne").is_dir():
             return None
+        files = (self._folder / "velodyne").glob("*.bin")
+        self._scans = {int(file.stem): file for file in files if file.stem.isdecimal()}
         for number in self.numbers:
-            if self._scan(number).is_file():
-                check_scan_file(self._scan(number))
+            if number in self._scans:
+                check_scan_file(self._scans[number])
         T_left_cam0 = np.eye(4)
         T_left_cam0[:3, 3] = self._t_left
         return T_left_cam0 @ calibration.T_cam0_velodyne()
 
     def _about_poses(self) -> list[str]:
-        unknown = 0 if self._poses is None else int((~known_poses(self._poses)).sum())
-        return [f"{unknown} of {len(self)} frames have no ground truth (NaN in the pose file)"] if unknown else []
+        if self._poses is None:
+            return []
+        unknown = int((~known_poses(self._poses)).sum())
+        remarks = [f"{unknown} of {len(self)} frames have no ground truth (NaN in the pose file)"] if unknown else []
+        if self._lines["times"] and self._lines["times"] != self._lines["poses"]:
+            counts = "the sequence has {poses} poses and {times} times".format_map(self._lines)
+            remarks.append(f"{counts}: line k (from 0) is that of frame k, so one of the files is of something else")
+        return remarks
 
     def _read_times(self, images: Path) -> Float:
         numbers = np.array(self.numbers)
@@ -125,6 +132,7 @@ class Kitti(Dataset):
                 return read_image_times(of_raw, self.numbers, sorted(self._left))
             return numbers / _RATE_HZ
         times = read_kitti_times(path)
+        self._lines["times"] = len(times)
         if len(times) <= numbers[-1]:
             raise BenchError(f"{path} has {len(times)} times, too few for frame {numbers[-1]}. Restore the file.")
         return times[numbers]
@@ -133,6 +141,7 @@ class Kitti(Dataset):
         if not path.is_file():
             return None
         poses = read_kitti_poses(path)
+        self._lines["poses"] = len(poses)
         last = self.numbers[-1]
         if len(poses) <= last:
             raise BenchError(
@@ -196,7 +205,7 @@ def _images_by_number(folder: Path) -> dict[int, Path]:
         images[number] = file
     if not images:
         raise BenchError(
-            f"{folder} holds no PNG or JPEG image called by its number, such as 000000.png (it holds "
+            f"{folder} holds no PNG or JPEG image whose name is its number, as 000000.png (it holds "
             f"{describe_files(files)}). Check dataset.root and dataset.sequence."
         )
     return images

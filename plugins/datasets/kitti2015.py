@@ -11,7 +11,7 @@ import numpy as np
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError, require_choice
 from bench.io.frame_range import describe, parse_frame_range
-from bench.io.images import image_size, read_rgb
+from bench.io.images import bits_in_use, image_size, read_rgb
 from bench.io.kitti_files import parse_numbers, read_lines
 from bench.registry import PluginConfig, register
 from bench.types import Float, Map, StereoCamera, StereoFrame
@@ -59,6 +59,8 @@ class Kitti2015(Dataset):
         self.label = f"kitti2015/{config.disparity}"
         self._cameras = tuple(self._read_camera(number, root / "calib_cam_to_cam") for number in self.numbers)
         self.camera = self._cameras[0]
+        files = [self._file(side, number) for number in self.numbers for side in (self._left, self._right)]
+        self._bits, self.remarks = bits_in_use(files)
         for number in self.numbers if self._disparity.is_dir() else ():
             if not self._file(self._disparity, number).is_file():
                 raise BenchError(
@@ -73,7 +75,7 @@ class Kitti2015(Dataset):
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
         number, camera = self.numbers[position], self._cameras[position]
         size = (camera.width, camera.height)
-        left, right = (read_rgb(self._file(side, number), size) for side in (self._left, self._right))
+        left, right = (read_rgb(self._file(side, number), size, self._bits) for side in (self._left, self._right))
         return StereoFrame(number, float(number), left, right)
 
     def true_disparity(self, position: int) -> Map | None:

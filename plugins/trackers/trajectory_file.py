@@ -85,6 +85,9 @@ class TrajectoryFile(Tracker):
         if self._by_time is None:
             indexed = self._indexed(poses, dataset)
             self._by_number = {number: T for number, T in indexed.items() if np.isfinite(T).all()}
+            if len(poses) != len(dataset):
+                counts = f"{self._path.name} has {len(poses)} poses for {len(dataset)} frames"
+                self._doubts.append(f"{counts}: line k (from 0) is of frame k")
         suspicion = suspected_convention(poses[known_poses(poses)])
         if suspicion is not None:
             self._doubts.append(f"{self._path.name}: {suspicion}. Convert the file if that is so.")

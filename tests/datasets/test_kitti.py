@@ -255,7 +255,9 @@ def test_names_that_are_no_numbers_are_counted(tmp_path: Path) -> None:
     folder = write_kitti(tmp_path)
     for file in list((folder / "image_2").iterdir()):
         file.rename(file.with_suffix(".bmp"))
-    with pytest.raises(BenchError, match=r"image_2 holds no PNG or JPEG image .* \(it holds 4 \.bmp\)"):
+    with pytest.raises(
+        BenchError, match=r"image_2 holds no PNG or JPEG image .* \(it holds 4 \.bmp, the first 000000\.bmp\)"
+    ):
         open_kitti(tmp_path)
     write_image(folder / "image_2" / "000001.png", 1)
     write_image(folder / "image_2" / "1.jpg", 1)
@@ -307,12 +309,27 @@ def test_byte_order_marks_and_frames_without_pose(tmp_path: Path) -> None:
     assert kitti.to_tell() == ("1 of 4 frames have no ground truth (NaN in the pose file)",)
 
 
+def test_poses_and_times_of_different_lengths_are_told(tmp_path: Path) -> None:
+    write_kitti(tmp_path)
+    poses(r"\A(.*\n)", r"\1\1")(tmp_path, tmp_path)
+    (told,) = open_kitti(tmp_path).to_tell()
+    assert told.startswith("the sequence has 5 poses and 4 times: line k (from 0) is that of frame k")
+
+
+def test_scans_of_ten_digits(tmp_path: Path) -> None:
+    folder = write_kitti(tmp_path)
+    before = open_kitti(tmp_path).lidar_depth(2)
+    for scan in list((folder / "velodyne").iterdir()):
+        scan.rename(scan.with_name(f"0000{scan.name}"))
+    np.testing.assert_array_equal(open_kitti(tmp_path).lidar_depth(2), before)
+
+
 def test_half_size_images_are_told(tmp_path: Path) -> None:
     folder = write_kitti(tmp_path)
     for path in folder.glob("image_*/*.png"):
         cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), None, fx=0.5, fy=0.5))
     (told,) = open_kitti(tmp_path).to_tell()
-    assert "seems to be of images 1.9 times as large" in told
+    assert "seems to be of images about 1.9 times as large" in told
 
 
 @pytest.mark.parametrize("sequence", ["03", "06", "09"])

@@ -60,6 +60,11 @@ def test_kitti_file_of_the_whole_sequence_goes_by_number(tmp_path: Path, frames:
     results = replay(replayer, frames)
     for result, number in zip(results, (4, 5, 7), strict=True):
         np.testing.assert_allclose(result.T_world_cam, poses(9)[number], atol=1e-14)
+    assert [[event.values["text"] for event in result.events] for result in results] == [
+        ["06.txt has 9 poses for 3 frames: line k (from 0) is of frame k"],
+        [],
+        [],
+    ]
     assert replayer.trajectory().numbers.tolist() == [4, 5, 7]
     np.testing.assert_allclose(replayer.trajectory().timestamps, [0.4, 0.5, 0.7])
 
