@@ -44,9 +44,11 @@ def without_any(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.mark.slow
 def test_a_file_in_a_checkout(tmp_path: Path, without_any: str) -> None:
     shutil.copytree(ROOT / "plugins", tmp_path / "plugins", ignore=shutil.ignore_patterns("__pycache__"))
-    write_plugin("stereo", "route_file", tmp_path / "plugins" / "stereo")
+    file = write_plugin("stereo", "route_file", tmp_path / "plugins" / "stereo").file
     listing = python(["-c", _IN_CHECKOUT, str(tmp_path), "list", "stereo"], tmp_path)
     assert re.search(_LISTED.format("route_file"), listing)
+    file.unlink()
+    assert "route_file" not in python(["-c", _IN_CHECKOUT, str(tmp_path), "list", "stereo"], tmp_path)
     assert re.search(r"stereo +sgbm +available", listing)
     assert "broken" not in listing
     assert "route_file" not in without_any

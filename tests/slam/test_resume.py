@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import pandas as pd
 import pytest
 import torch
+from killed_run import killed_after
 
 from bench.config import compose_run
 from bench.errors import BenchError
@@ -35,10 +35,6 @@ SAME_BYTES = (
 )
 
 
-class Killed(BaseException):
-    """Ends a run where SIGKILL would, and like it lets nothing be saved."""
-
-
 def settings(output: Path, *overrides: str) -> list[str]:
     return [*STREET, "checkpoint_s=0", f"output={output}", *overrides]
 
@@ -49,19 +45,8 @@ def run(output: Path, *overrides: str) -> RunFolder:
 
 def killed_run(output: Path, monkeypatch: pytest.MonkeyPatch, after: int, *overrides: str) -> None:
     """Start a run and end it when its checkpoint number ``after`` has been written; nothing else of it is left."""
-    written = itertools.count(1)
-    write = Checkpoints._write
-
-    def count(self: Checkpoints, snapshot: Any) -> None:
-        write(self, snapshot)
-        if next(written) == after:
-            raise Killed
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Checkpoints, "_write", count)
-        patch.setattr("bench.slam.run.save_outputs", lambda *nothing: None)
-        with pytest.raises(Killed):
-            run(output, *overrides)
+    with killed_after(after, monkeypatch):
+        run(output, *overrides)
     assert (output / CHECKPOINT_FOLDER).is_dir()
     assert not (output / "map.ply").exists()
 

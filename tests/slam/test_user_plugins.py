@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from killed_run import killed_after
 
 from bench import registry
 from bench.authoring.check import check_plugin
@@ -31,28 +31,14 @@ ALIGN = (*STREET, "tracker=map_align", "mapper.iterations=12", "mapper.final_ite
 POINTS = (*STREET, "dataset.frames=4", "dataset.speed_m=0.5", "mapper=point_cloud", "tracker=groundtruth")
 
 
-class Killed(BaseException):
-    """Ends a run where SIGKILL would."""
-
-
 def run(output: Path, *overrides: str) -> Path:
     return run_system(compose_run([f"plugins=[{FOLDER}]", *overrides, f"output={output}"])).path
 
 
 def killed(output: Path, monkeypatch: pytest.MonkeyPatch, after: int, *overrides: str) -> None:
     """Run until so many checkpoints have been written; nothing is saved then."""
-    written, write = itertools.count(1), Checkpoints._write
-
-    def count(self: Checkpoints, snapshot: Any) -> None:
-        write(self, snapshot)
-        if next(written) == after:
-            raise Killed
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Checkpoints, "_write", count)
-        patch.setattr("bench.slam.run.save_outputs", lambda *nothing: None)
-        with pytest.raises(Killed):
-            run(output, "checkpoint_s=0", *overrides)
+    with killed_after(after, monkeypatch):
+        run(output, "checkpoint_s=0", *overrides)
 
 
 @pytest.mark.slow
