@@ -9,6 +9,7 @@ from pathlib import Path
 from string import Template
 
 from bench import registry
+from bench.discovery import FOLDER_OF_KIND
 from bench.errors import BenchError, require_choice
 from bench.installed_data import config_folder
 from bench.io.atomic import write_text
@@ -17,9 +18,6 @@ from bench.registry import KINDS
 TEMPLATES = Path(__file__).parent / "templates"
 # Words that Hydra's command line reads as values of their own.
 _NOT_NAMES = ("null", "none", "true", "false", "nan", "inf", "default")
-_FOLDER_OF_KIND = {
-    kind: kind if kind in ("stereo", "sky") else "losses" if kind == "loss" else f"{kind}s" for kind in KINDS
-}
 
 
 @dataclass(frozen=True)
@@ -41,17 +39,18 @@ def checkout_root() -> Path | None:
 def place_for(kind: str, name: str, folder: Path | None) -> Place:
     """The files of a new plugin: in ``folder``, else in ``plugins/`` of the checkout, else in ``./my_plugins``.
 
-    Every ``*.py`` directly in an own folder is a plugin, so tests go one deeper. The test's name ends with the kind:
-    pytest wants each file name once.
+    Every ``*.py`` directly in an own folder is a plugin, so tests go one deeper; where it has a folder of the kind
+    (``stereo/``), the plugin goes there. The test's name ends with the kind: pytest wants each file name once.
     """
     root = checkout_root()
     if folder is None and root is not None:
-        of_kind = _FOLDER_OF_KIND[kind]
+        of_kind = FOLDER_OF_KIND[kind]
         return Place(
             root / "plugins" / of_kind / f"{name}.py", root / "tests" / of_kind / f"test_{name}_{kind}.py", None
         )
     own = (folder or Path("my_plugins")).expanduser()
-    return Place(own / f"{name}.py", own / "tests" / f"test_{name}_{kind}.py", own)
+    inside = own / FOLDER_OF_KIND[kind]
+    return Place((inside if inside.is_dir() else own) / f"{name}.py", own / "tests" / f"test_{name}_{kind}.py", own)
 
 
 def write_plugin(kind: str, name: str, folder: Path | None = None) -> Place:

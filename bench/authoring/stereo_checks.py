@@ -11,7 +11,8 @@ import numpy as np
 from bench.authoring import cost, probes
 from bench.authoring.units import Medians, explain_sizes, explain_units, is_accurate
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
-from bench.contracts.stereo import StereoBackbone
+from bench.contracts.stereo import StereoBackbone, shape_hint
+from bench.errors import BenchError
 from bench.types import Image, Map, StereoFrame
 
 SIZE, ODD_SIZE = (256, 480), (261, 417)
@@ -35,6 +36,17 @@ class Subject:
         return self.candidate.build()
 
     @property
+    def gain(self) -> float | None:
+        """The setting stereo.gain as stereo=onnx has it (null is 1); None of a plugin without it."""
+        config = self.candidate.config
+        return float(getattr(config, "gain", None) or 1) if hasattr(config, "gain") else None
+
+    @property
+    def sign_cure(self) -> str:
+        """How to turn the sign."""
+        return "return -d (of an ONNX file: stereo.gain=-1)" if self.gain is None else f"set stereo.gain={-self.gain:g}"
+
+    @property
     def matches(self) -> bool:
         return isinstance(self.source, StereoBackbone)
 
@@ -43,6 +55,14 @@ class Subject:
         source = self.source if source is None else source
         source.start(probes.PairDataset(*pair))
         answer = source.disparity(*pair)
+        hint = shape_hint(np.shape(np.squeeze(answer)), pair[0].shape[:2]) if isinstance(answer, np.ndarray) else ""
+        if hint:
+            raise ContractBrokenError(
+                f"disparity returned shape {answer.shape}",
+                f"numpy array {pair[0].shape[:2]} of float32",
+                hint,
+                "disparity",
+            )
         probes.require_array(answer, pair[0].shape[:2], np.float32, "disparity")
         return answer
 
@@ -60,19 +80,38 @@ def _nan_rule(subject: Subject) -> str:
         "two grey images": (np.full((*SIZE, 3), 128, np.uint8),) * 2,
         "two black images": (np.zeros((*SIZE, 3), np.uint8),) * 2,
     }
+    refused = ""
     for what, pair in pairs.items():
-        answer = subject.disparity((pair[0].copy(), pair[1].copy()))
+        try:
+            answer = subject.disparity((pair[0].copy(), pair[1].copy()))
+        except BenchError:
+            # A pair without anything to match is no pair of a data set; networks refuse what is zero everywhere.
+            if what == "a textured pair":
+                raise
+            refused = f"; {what} are refused"
+            continue
+        if what == "a textured pair" and not np.isfinite(answer).any():
+            raise ContractBrokenError(
+                "NaN for every pixel of a textured pair",
+                "a disparity for most pixels: this pair is easy",
+                "look where NaN begins: a division by zero, a logarithm of 0, images that are not normalised as in "
+                "training, weights that were not loaded, half precision that overflows",
+                "disparity",
+            )
         with np.errstate(invalid="ignore"):
             counts = {"infinite": np.isinf(answer), "negative": answer < 0, "zero": answer == 0}
         found = [f"{np.mean(where):.1%} {name}" for name, where in counts.items() if where.any()]
         if found:
+            mend = "np.where(np.isfinite(d) & (d > 0), d, np.float32(np.nan))"
+            if counts["negative"].mean() > 0.5:
+                mend = f"the sign is wrong: {subject.sign_cure}"
             raise ContractBrokenError(
                 f"for {what} the disparity is {' and '.join(found)}",
                 "positive and finite, or NaN for unknown; infinite distance is unknown too",
-                "np.where(np.isfinite(d) & (d > 0), d, np.float32(np.nan)); all negative: the sign is wrong",
+                mend,
                 "disparity",
             )
-    return "unknown is NaN, also in equal, grey and black images"
+    return f"unknown is NaN, also in equal, grey and black images{refused}"
 
 
 def _units(subject: Subject) -> str | Note:
@@ -94,7 +133,7 @@ def _units(subject: Subject) -> str | Note:
                 "disparity",
             )
         found.append(Medians(np.array(SHIFTS_PX, float), np.array(medians), size))
-        explain_units(found[-1])
+        explain_units(found[-1], subject.gain)
     explain_sizes(*found)
     texts = [", ".join(f"{median:.1f}" for median in medians.answered) for medians in found]
     true = ", ".join(map(str, SHIFTS_PX))

@@ -14,6 +14,8 @@ _TOLERANCE_PX, _TOLERANCE_SHARE = 1.5, 0.15
 # What two image sizes may differ by: an error of the network is the same in both, a forgotten rescaling is not.
 _SIZE_TOLERANCE = 0.04
 _ACCURATE_SHARE = 0.05
+# Disparities this small, beside the true ones, are shares of a largest disparity, which is above 30 px everywhere.
+_NORMALISED = 1 / 30
 _EXPECTED = "pixels of the full-size image, positive: left[y, x] is right[y, x - d]"
 
 
@@ -26,14 +28,20 @@ class Medians:
     size: tuple[int, int]
 
 
-def explain_units(medians: Medians) -> None:
-    """Raise ``ContractBrokenError`` with the likely mistake unless every median is near the true disparity."""
+def explain_units(medians: Medians, gain: float | None = None) -> None:
+    """Raise ``ContractBrokenError`` with the likely mistake unless every median is near the true disparity.
+
+    ``gain`` is the setting stereo.gain as it is now, None of a plugin without it.
+    """
     true, answered = medians.true, medians.answered
     if (np.abs(answered - true) <= np.maximum(_TOLERANCE_PX, _TOLERANCE_SHARE * true)).all():
         return
     height, width = medians.size
     seen = f"walls at {_listed(true)} px have disparity {_listed(answered)} at {width}x{height}"
-    raise ContractBrokenError(f"{seen}: {_reason(medians)[0]}", _EXPECTED, _reason(medians)[1], "disparity")
+    reason, mend, factor = _reason(medians)
+    if gain is not None and factor is not None:
+        mend = f"set stereo.gain={gain * factor:.4g}"
+    raise ContractBrokenError(f"{seen}: {reason}", _EXPECTED, mend, "disparity")
 
 
 def explain_sizes(first: Medians, second: Medians) -> None:
@@ -56,37 +64,66 @@ def is_accurate(medians: Medians) -> bool:
     return bool((error <= np.maximum(_TOLERANCE_PX, _ACCURATE_SHARE * medians.true)).all())
 
 
-def _reason(medians: Medians) -> tuple[str, str]:
-    """What it looks like, and how to mend it."""
+def _reason(medians: Medians) -> tuple[str, str, float | None]:
+    """What it looks like, how to mend it, and the factor that mends it where one does at any size."""
     true, answered, width = medians.true, medians.answered, medians.size[1]
     ratio = float(true @ answered / (true @ true))
-    proportional = np.abs(answered - ratio * true).max() <= 0.1 * abs(ratio) * true.max()
-    known = {
-        -1.0: ("the sign is wrong", "return -d"),
-        1 / 16: ("a sixteenth of the true one", "multiply by 16: is it counted in cells of a map at 1/16 size?"),
-        0.25: ("a quarter of the true one", "multiply by 4: a disparity at 1/4 size counts pixels four times as wide"),
-        0.5: ("half of the true one", "multiply by 2: a disparity at half size counts pixels twice as wide"),
-        2.0: ("twice the true one", "divide by 2"),
-        4.0: ("four times the true one", "divide by 4"),
-        16.0: ("16 times the true one", "divide by 16: OpenCV's matchers count in sixteenths of a pixel"),
-        1 / width: ("a share of the image's width", "multiply by the width in pixels"),
-        256.0: ("256 times the true one", "divide by 256, as KITTI's PNG files are coded"),
-    }
-    if proportional:
-        for value, words in known.items():
-            if abs(ratio - value) < 0.06 * abs(value):
-                return words
-        return (
-            f"{ratio:.3g} times the true one",
-            f"multiply by {1 / ratio:.4g}: the width fed to the network is not the image's width?",
-        )
+    if np.abs(answered - ratio * true).max() <= 0.1 * abs(ratio) * true.max():
+        reason, mend, factor = _reason_of_factor(abs(ratio), width)
+        if ratio > 0:
+            return reason, mend, factor
+        if factor == 1:
+            return "the sign is wrong", "return -d (of an ONNX file: stereo.gain=-1)", -1
+        return f"the sign is wrong, and it is {reason}", f"return -d, and {mend}", factor and -factor
+    if np.ptp(answered) <= 0.02 * np.abs(answered).max():
+        if np.abs(answered).max() <= 1:
+            mend = "it is divided by the largest value of each image? Return pixels"
+            return "the same whatever the true one is: normalised to 0 to 1", mend, None
+        return "the same whatever the true one is", "are the weights loaded, and does it see the right image?", None
     if (np.diff(answered) < 0).all() and np.ptp(answered * true) < 0.1 * np.abs(answered * true).max():
-        return "this is depth, which falls as disparity grows", "return the disparity, or override depth() instead"
+        return (
+            "this is depth, which falls as disparity grows",
+            "return the disparity, or override depth() instead",
+            None,
+        )
     if np.ptp(answered - true) <= 2 * _TOLERANCE_PX:
-        return f"off by {np.mean(answered - true):+.1f} px everywhere", "are padding or a smallest disparity left over?"
+        off = f"off by {np.mean(answered - true):+.1f} px everywhere"
+        return off, "are padding or a smallest disparity left over?", None
     return (
         "no simple relation to the true one",
         "are the images fed in the right order, normalised as in training, and is the largest disparity large enough?",
+        None,
+    )
+
+
+def _reason_of_factor(ratio: float, width: int) -> tuple[str, str, float | None]:
+    """The same for disparities that are ``ratio`` times the true ones."""
+    known: dict[float, tuple[str, str, float | None]] = {
+        1.0: ("the true one", "leave it as it is", 1),
+        1 / 16: ("a sixteenth of the true one", "multiply by 16: is it counted in cells of a map at 1/16 size?", 16),
+        1 / 8: ("an eighth of the true one", "multiply by 8: is it counted in cells of a map at 1/8 size?", 8),
+        0.25: ("a quarter of the true one", "multiply by 4: at 1/4 size a disparity counts pixels 4 times as wide", 4),
+        0.5: ("half of the true one", "multiply by 2: a disparity at half size counts pixels twice as wide", 2),
+        2.0: ("twice the true one", "divide by 2", 1 / 2),
+        4.0: ("four times the true one", "divide by 4", 1 / 4),
+        16.0: ("16 times the true one", "divide by 16: OpenCV's matchers count in sixteenths of a pixel", 1 / 16),
+        256.0: ("256 times the true one", "divide by 256, as KITTI's PNG files are coded", 1 / 256),
+        1 / width: (
+            "a share of the image's width",
+            "multiply by the width in pixels (of an ONNX file: stereo.unit=width)",
+            None,
+        ),
+    }
+    near = min(known, key=lambda value: abs(ratio / value - 1))
+    if abs(ratio - near) < 0.06 * near:
+        return known[near]
+    if ratio < _NORMALISED:
+        mend = f"multiply by {1 / ratio:.4g}, the largest disparity that it was divided by?"
+        return f"{ratio:.3g} times the true one: normalised to 0 to 1", mend, 1 / ratio
+    return (
+        f"{ratio:.3g} times the true one",
+        f"multiply by {1 / ratio:.4g}: the width fed to the network is not the image's width?",
+        1 / ratio,
     )
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
 from bench import registry
+from bench.authoring.cures import cure_of
 from bench.config import RunConfig
 from bench.errors import BenchError
 from bench.registry import Plugin, PluginConfig
@@ -125,7 +126,8 @@ def failure_of(plugin: Plugin, title: str, error: Exception) -> Finding:
     own = [frame for frame in frames if Path(frame.filename) == Path(plugin.file)]
     place = f"{own[-1].filename}:{own[-1].lineno}" if own else place_of(plugin, "")
     full = "".join(traceback.format_exception(error))
-    mend = "" if isinstance(error, BenchError) else "see the line named here; --traceback shows how it came there"
+    unknown = "" if isinstance(error, BenchError) else "see the line named here; --traceback shows how it came there"
+    mend = cure_of(error) or unknown
     return Finding(title, "FAILED", seen, "no exception", mend, place, full)
 
 

@@ -35,6 +35,7 @@ def add_parser(subparsers: Any) -> None:
         metavar="KEY=VALUE",
         help="first KIND=NAME; then settings, plugins=[FOLDER], other parts",
     )
+    parser.add_argument("--plugins", action="append", default=[], metavar="FOLDER", help="as plugins=[FOLDER]")
     parser.add_argument("--traceback", action="store_true", help="show where an exception came from")
     parser.set_defaults(run=run)
 
@@ -42,7 +43,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the findings as they are made; exit code 1 when one failed. ``BenchError`` for an unknown plugin."""
     console = Console(soft_wrap=True, highlight=False)
-    candidate = candidate_of(args.overrides)
+    candidate = candidate_of(args.overrides, args.plugins)
     plugin = candidate.plugin
     console.print(Text(f"{plugin.kind}={plugin.name}  {_short(plugin.file)}", style="bold"))
     findings = []

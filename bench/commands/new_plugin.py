@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.authoring.scaffold import Place, write_plugin
-from bench.discovery import load_plugins
+from bench.discovery import load_plugins, plugin_files
 from bench.registry import KINDS
 
 _EXAMPLES = """examples:
@@ -35,7 +35,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the files and print what to type next; ``BenchError`` for a name that can't be used."""
-    load_plugins([str(args.folder)] if args.folder is not None and args.folder.expanduser().is_dir() else [])
+    has_others = args.folder is not None and bool(plugin_files(args.folder.expanduser()))
+    load_plugins([str(args.folder)] if has_others else [])
     place = write_plugin(args.kind, args.name, args.folder)
     print(f"wrote {_shown(place.file)}")
     print(f"wrote {_shown(place.test)}")

@@ -2,7 +2,8 @@
 wrong, how to mend it, and on which line.
 
 The mistakes are in ``mistakes/<kind>.txt``: the check that must find it, what is replaced (-) by what (+) in the file
-that ``new-plugin`` writes, a pattern of what the finding says, and text on the line that it points to.
+that ``new-plugin`` writes, patterns of what the finding says and of how to mend it, and text on the line that it
+points to.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ class Mistake:
     new: str
     says: str
     line: str
+    mend: str
 
 
 def read_mistakes(file: Path) -> list[Mistake]:
@@ -35,11 +37,13 @@ def read_mistakes(file: Path) -> list[Mistake]:
     for block in f"\n{file.read_text()}".split("\n== ")[1:]:
         name, *rows = block.rstrip("\n").split("\n")
         old, new = ("\n".join(row[2:] for row in rows if row.startswith(sign)) for sign in ("- ", "+ "))
-        check, says, line = (
-            next(row.removeprefix(key) for row in rows if row.startswith(key))
-            for key in ("check: ", "says: ", "line: ")
+        check, says, line, mend = (
+            next((row.removeprefix(key) for row in rows if row.startswith(key)), "")
+            for key in ("check: ", "says: ", "line: ", "mend: ")
         )
-        mistakes.append(Mistake(file.stem, name, check, old, new, says, line))
+        assert check, f"{file}, {name}: no check"
+        assert says, f"{file}, {name}: says nothing"
+        mistakes.append(Mistake(file.stem, name, check, old, new, says, line, mend))
     return mistakes
 
 
@@ -52,6 +56,7 @@ def test_a_mistake_is_found_and_placed(mistake: Mistake, finding_about: Callable
     finding = finding_about(mistake.kind, mistake.check, (mistake.old, mistake.new))
     assert finding.state == "FAILED", finding
     assert re.search(mistake.says, finding.seen), finding.seen
+    assert re.search(mistake.mend, finding.mend), finding.mend
     assert finding.expected
     file, _, line = finding.place.rpartition(":")
     assert Path(file) == tmp_path / "probed.py"

@@ -20,6 +20,11 @@ TRUE = np.array([5.0, 17.0, 41.0])
         (TRUE * 16, "16 times", "divide by 16"),
         (TRUE * 256, "256 times", "divide by 256"),
         (TRUE / 480, "share of the image's width", "multiply by the width"),
+        (TRUE / 8, "an eighth", "multiply by 8"),
+        (-TRUE / 4, "the sign is wrong, and it is a quarter", "return -d, and multiply by 4"),
+        (TRUE / 192, "normalised to 0 to 1", "multiply by 192"),
+        (np.array([1.0, 1.0, 1.0]), "the same whatever the true one is: normalised", "Return pixels"),
+        (np.array([33.0, 33.0, 33.1]), "the same whatever the true one is", "weights loaded"),
         (TRUE * 1.3, "1.3 times the true one", "multiply by 0.7692"),
         (85 / TRUE, "this is depth", "return the disparity"),
         (TRUE + 8, r"off by \+8\.0 px everywhere", "padding"),
@@ -32,6 +37,20 @@ def test_what_it_looks_like(answered: np.ndarray, says: str, mend: str) -> None:
         explain_units(Medians(TRUE, answered, (256, 480)))
     assert mend in caught.value.mend
     assert caught.value.method == "disparity"
+
+
+@pytest.mark.parametrize(
+    ("answered", "gain", "mend"),
+    [
+        (-TRUE, 1.0, "set stereo.gain=-1"),
+        (TRUE / 4, -0.5, "set stereo.gain=-2"),
+        (TRUE / 480, 1.0, "stereo.unit=width"),
+    ],
+)
+def test_the_setting_that_mends_it(answered: np.ndarray, gain: float, mend: str) -> None:
+    with pytest.raises(ContractBrokenError) as caught:
+        explain_units(Medians(TRUE, answered, (256, 480)), gain)
+    assert mend in caught.value.mend
 
 
 @pytest.mark.parametrize(

@@ -141,6 +141,32 @@ def test_a_plugin_that_can_not_run_here(no_output_left: pytest.CaptureFixture[st
         registry.build(compose_run([f"plugins=[{folder}]", "stereo=needy"]).plugin("stereo"), "stereo")
 
 
+@pytest.mark.parametrize("kind_folder", ["stereo", "sky", "losses", "loss"])
+def test_a_folder_for_each_kind(kind_folder: str, clean_registry: None, tmp_path: Path) -> None:
+    """As in plugins/; what a file registers, not its folder, says of which kind it is."""
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "test_it.py").write_text("raise RuntimeError('imported')")
+    folder = write(tmp_path / kind_folder, __init__="", nested=GOOD.format(name=f"in_{kind_folder}"))
+    load_plugins([str(tmp_path)])
+    assert registry.lookup("stereo", f"in_{kind_folder}").file == str(folder / "nested.py")
+    assert not any(str(tmp_path) in file for file in registry.broken_files)
+
+
+def test_a_folder_without_plugins_is_named(clean_registry: None, tmp_path: Path) -> None:
+    with pytest.raises(
+        BenchError, match=rf"the folder {tmp_path} has no plugin files: .*\(datasets, stereo, .*new-plugin"
+    ):
+        load_plugins([str(tmp_path)])
+    write(tmp_path / "nets", deep=GOOD.format(name="deep_net"))
+    with pytest.raises(BenchError, match=rf"There is {tmp_path}/nets/deep\.py: name its folder"):
+        load_plugins([str(tmp_path)])
+    load_plugins([str(tmp_path / "nets")])
+    registry.lookup("stereo", "deep_net")
+    (tmp_path / "other" / "table").mkdir(parents=True)
+    (tmp_path / "other" / "table" / "mine.yaml").write_text("title: x")
+    load_plugins([str(tmp_path / "other")])
+
+
 def test_missing_folder() -> None:
     with pytest.raises(BenchError, match=r"the folder /not/there does not exist"):
         load_plugins(["/not/there"])

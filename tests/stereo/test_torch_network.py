@@ -93,6 +93,11 @@ def test_computes_in_the_wanted_format(dtype: str) -> None:
     [
         (lambda left: [left], r"Answers\.predict returned list; return a tensor"),
         (lambda left: left, r"returned a tensor of shape \(1, 3, 16, 24\); expected \(1, 1, 16, 24\)"),
+        (
+            lambda left: left[:, :1, ::2, ::2],
+            r"expected \(1, 1, 16, 24\), .*: it is at 1/2 of the size, .* multiply by 2",
+        ),
+        (lambda left: left[:, :1].mT, r"shape \(1, 1, 24, 16\); .*: height and width are exchanged, transpose it"),
         (lambda left: left[:, :1, :13, :21], r"shape \(1, 1, 13, 21\); expected \(1, 1, 16, 24\), .* padded image"),
     ],
 )
