@@ -5,6 +5,10 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+from bench.plain_text import plain_line
+
+_LONGEST_QUOTE = 500
+
 
 class BenchError(Exception):
     """Wrong input or configuration: the message says what, where, and what to do.
@@ -33,12 +37,16 @@ def require_choice(what: str, value: str, accepted: Iterable[str]) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of an error's text, without its full stop: what to quote of another library's error.
+    """What to quote of another library's error: the first line of its text, without its full stop, else its type.
 
-    With the second where the first only announces it.
+    With the second line where the first only announces it. An exception that is no more than a type or a place
+    (``KeyError: 3``, ``MemoryError``) is named.
     """
     first, *others = str(error).strip().split("\n")
-    return (f"{first} {others[0].strip()}" if first.endswith(":") and others else first).rstrip(".")
+    text = f"{first} {others[0].strip()}" if first.endswith(":") and others else first
+    text = plain_line(text, _LONGEST_QUOTE).rstrip(".")
+    bare = not text or isinstance(error, (KeyError, IndexError, AttributeError, RecursionError, MemoryError))
+    return f"{type(error).__name__}{': ' if text else ''}{text}" if bare else text
 
 
 def require_least(where: str, config: object, **least: float) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from bench.cache.entry import DamagedEntryError
+from bench.cache.entry import DamagedEntryError, seal, unseal
+from bench.errors import first_line
 from bench.types import Event, Float, TrackingResult, Trajectory
 
 
@@ -77,7 +77,7 @@ class Recording:
         return np.flatnonzero(changed)
 
     def encode(self) -> bytes:
-        """All of it as the bytes of an ``.npz`` file."""
+        """All of it as the bytes of an ``.npz`` file, behind their SHA-256."""
         results = [frame.result for frame in self.frames]
         nowhere = np.full((4, 4), np.nan)
         landmarks = [np.zeros(0, np.int64) if r.landmarks is None else r.landmarks for r in results]
@@ -102,13 +102,13 @@ class Recording:
         }
         file = io.BytesIO()
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # its stub takes allow_pickle for an array
-        return file.getvalue()
+        return seal(file.getvalue())
 
     @classmethod
     def decode(cls, content: bytes) -> Recording:
         """What ``encode`` was given, to the bit; raises ``DamagedEntryError`` for other bytes."""
         try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            with np.load(io.BytesIO(unseal(content)), allow_pickle=False) as arrays:
                 a = {name: arrays[name] for name in arrays.files}
             landmarks = np.split(a["landmarks"], np.cumsum(a["landmark_counts"])[:-1])
             rows = np.split(a["rows"], np.cumsum(a["row_counts"])[:-1])
@@ -130,6 +130,12 @@ class Recording:
                 )
                 for k in range(len(a["states"]))
             ]
-            return cls(frames, a["numbers"], a["timestamps"], Correction(a["last_rows"], a["last_poses"]))
-        except (ValueError, KeyError, IndexError, OSError, zipfile.BadZipFile) as error:
-            raise DamagedEntryError(f"it is no recording: {error}") from error
+            last = Correction(a["last_rows"], a["last_poses"])
+            for changed, new_poses in [*((frame.rows, frame.poses) for frame in frames), (last.rows, last.poses)]:
+                if new_poses.shape != (len(changed), 4, 4) or not (changed < len(a["numbers"])).all():
+                    raise ValueError("its poses belong to no frames")
+            return cls(frames, a["numbers"], a["timestamps"], last)
+        except DamagedEntryError:
+            raise
+        except Exception as error:  # whole, but written by something else: it may hold anything
+            raise DamagedEntryError(f"it is no recording ({first_line(error)})") from error

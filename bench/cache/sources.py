@@ -71,7 +71,9 @@ class CachedDepthSource(DepthSource):
             answer = self._source.depth(frame, position, camera)
             return Stored(answer.depth, time.perf_counter() - start, answer.source, answer.confidence)
 
-        stored, self.last_cost = self._shelf.answer(self._identity.of_frame(frame, camera), compute)
+        stored, self.last_cost = self._shelf.answer(
+            self._identity.of_frame(frame, camera), frame.left.shape[:2], compute
+        )
         return DepthMap(stored.array, stored.source, stored.confidence)
 
 
@@ -99,7 +101,9 @@ class CachedSkySegmenter(SkySegmenter):
             none_found = mask is None
             return Stored(np.empty((0, 0)) if mask is None else mask, time.perf_counter() - start, "")
 
-        stored, self.last_cost = self._shelf.answer(self._identity.of_image(image, depth, camera), compute)
+        stored, self.last_cost = self._shelf.answer(
+            self._identity.of_image(image, depth, camera), image.shape[:2], compute
+        )
         return None if none_found else stored.array
 
 
@@ -108,16 +112,17 @@ class _Shelf:
 
     def __init__(self, kind: Kind, plugin: str, store: CacheStore) -> None:
         self._kind = kind
+        self._dtype = np.dtype(np.float32 if kind == "stereo" else np.bool_)
         self._plugin = plugin
         self._store = store
         self._warned = False
 
-    def answer(self, key: str, compute: Callable[[], Stored]) -> tuple[Stored, Cost]:
-        """The entry of ``key``, or what ``compute`` gives, kept for the next one who asks.
+    def answer(self, key: str, shape: tuple[int, ...], compute: Callable[[], Stored]) -> tuple[Stored, Cost]:
+        """The entry of ``key``, of this shape, or what ``compute`` gives, kept for the next one who asks.
 
         Of several processes that ask at once, one computes and the others wait for it. What ``compute`` raises goes on.
         """
-        stored = self._read(key)
+        stored = self._read(key, shape)
         if stored is not None:
             return stored, Cost(stored.seconds, cached=True)
         with ExitStack() as held:
@@ -125,19 +130,22 @@ class _Shelf:
                 held.enter_context(self._store.lock(key))
             except OSError as error:
                 self._warn(error)
-            stored = self._read(key)
+            stored = self._read(key, shape)
             if stored is not None:
                 return stored, Cost(stored.seconds, cached=True)
             stored = compute()
             self._write(key, stored)
         return stored, Cost(stored.seconds, cached=False)
 
-    def _read(self, key: str) -> Stored | None:
-        return self._store.read(self._kind, self._plugin, key)
+    def _read(self, key: str, shape: tuple[int, ...]) -> Stored | None:
+        stored = self._store.read(self._kind, self._plugin, key)
+        if stored is not None and (stored.array.dtype, stored.array.shape) != (self._dtype, shape):
+            log.warning("cache: the entry %s is of another image or kind; computing it again", key)
+            return None
+        return stored
 
     def _write(self, key: str, stored: Stored) -> None:
-        wanted = np.float32 if self._kind == "stereo" else np.bool_
-        if stored.array.dtype != wanted or stored.array.ndim != 2:
+        if stored.array.dtype != self._dtype or stored.array.ndim != 2:
             return  # not what the contract promises, or no answer at all: nothing to keep
         try:
             self._store.write(self._kind, self._plugin, key, stored)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
+import stat
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
@@ -13,8 +14,10 @@ from pathlib import Path
 from typing import Literal
 
 from bench.cache.entry import DamagedEntryError, Stored, decode, encode
+from bench.errors import BenchError, first_line
 from bench.io.atomic import TEMPORARY_PATTERN, atomic_path
 from bench.io.file_lock import exclusive
+from bench.io.foreign import read_plain
 
 log = logging.getLogger(__name__)
 
@@ -26,6 +29,8 @@ _LOCKS = "locks"
 # The size is checked when so much of the limit was written since the last look, and then brought below the second.
 _CHECK_EACH = 0.05
 _TRIM_TO = 0.9
+_MOST_BYTES = 4e9
+"""Of one entry: depth and confidence of 100 megapixels, or the poses of a million frames, take less."""
 # A temporary file of a process that was killed; a living one writes for far less than this.
 _ABANDONED_S = 3600.0
 
@@ -44,6 +49,7 @@ class CacheStore:
 
     def __init__(self, folder: Path, limit: float) -> None:
         self.folder = folder
+        _warn_of_others(folder)
         self._limit = limit
         # What other processes left there is not known yet, so the first entry written makes it look.
         self._unchecked = limit
@@ -63,11 +69,11 @@ class CacheStore:
         """The bytes of an entry, marked as just used, or None."""
         path = self._path(kind, plugin, key)
         try:
-            content = path.read_bytes()
+            content = read_plain(path, _MOST_BYTES)
         except FileNotFoundError:
             return None
-        except OSError as error:
-            log.warning("cache: %s can't be read (%s); computing it again", path, error.strerror)
+        except (OSError, BenchError) as error:  # BenchError: a folder or a pipe in its place
+            log.warning("cache: %s can't be read (%s); computing it again", path, first_line(error))
             return None
         try:
             os.utime(path)
@@ -144,3 +150,33 @@ class CacheStore:
     def _lock(self, name: str) -> AbstractContextManager[None]:
         (self.folder / _LOCKS).mkdir(parents=True, exist_ok=True)
         return exclusive(self.folder / _LOCKS / name)
+
+
+_looked_at: set[Path] = set()
+
+
+def _warn_of_others(folder: Path) -> None:
+    """Say once that others can write into the folder: an entry of theirs would be taken for an answer."""
+    if folder in _looked_at:
+        return
+    _looked_at.add(folder)
+    if others_can_write(folder):
+        log.warning(
+            "cache: other users can write into %s, and what they put there is taken for computed depth. "
+            "`chmod go-w` it, or choose another with cache.folder.",
+            folder,
+        )
+
+
+def others_can_write(folder: Path) -> bool:
+    """Whether other users can write into a folder; False where there is none.
+
+    A folder of this user's own group counts as theirs alone: many systems give every user a group of the same name and
+    make its folders writable.
+    """
+    try:
+        state = folder.stat()
+    except OSError:
+        return False
+    of_group = bool(state.st_mode & stat.S_IWGRP) and state.st_gid != os.getgid()
+    return of_group or bool(state.st_mode & stat.S_IWOTH) or state.st_uid not in (0, os.getuid())

@@ -8,11 +8,14 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.config import check_overrides, plugin_folders, with_home
+from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.rescore import copy_for
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.evaluation.saved_run import SavedRunFolder
 from bench.report.progress import scoring_progress
+from bench.report.terminal import say
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
 
@@ -22,6 +25,7 @@ go to a run folder of their own beside it, with links to the same pictures.
 examples:
   bgs-bench evaluate results/runs/3f2a9c01d4e5
   bgs-bench evaluate results/runs/3f2a9c01d4e5 protocol=paper
+  bgs-bench evaluate results/runs/3f2a9c01d4e5 --plugins mine        # made with a plugin in that folder
   bgs-bench evaluate results/runs/3f2a9c01d4e5 protocol.ssim=3dgs evaluator=[ate,image,dialects] --out scored
 """
 
@@ -37,6 +41,13 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("folder", type=Path, metavar="RUN_FOLDER")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="of protocol and evaluator")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="for these scores (default: beside the run)")
+    parser.add_argument(
+        "--plugins",
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="a folder of plugins that the run needs",
+    )
     parser.set_defaults(run=run)
 
 
@@ -44,13 +55,17 @@ def run(args: argparse.Namespace) -> int:
     """Write ``metrics.json`` and ``per_frame.csv`` and print the run's row; ``BenchError`` for what is no run."""
     console = Console()
     folder = args.folder
-    if args.out is not None and not args.overrides:
+    chosen = [override for override in args.overrides if override.startswith("plugins=")]
+    overrides = [override for override in args.overrides if override not in chosen]
+    # Of the command line alone: code that the run folder names is a stranger's.
+    load_plugins([*args.plugins, *plugin_folders(check_overrides(with_home(chosen)))])
+    if args.out is not None and not overrides:
         raise BenchError("--out is for scores under other settings; say which, for example protocol=paper.")
-    if args.overrides:
-        folder = copy_for(SavedRunFolder(args.folder), args.overrides, args.out)
+    if overrides:
+        folder = copy_for(SavedRunFolder(args.folder), overrides, args.out)
     with scoring_progress(console) as show:
         evaluate_run(folder, show)
     print_table([collect_row(folder)], console)
-    if args.overrides:
-        console.print(f"run folder: {folder}", markup=False, highlight=False, soft_wrap=True)
+    if overrides:
+        say(f"run folder: {folder}", console)
     return 0

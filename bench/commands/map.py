@@ -20,6 +20,7 @@ from bench.gaussians.parameters import NamedParameters
 from bench.io.atomic import write_image
 from bench.io.frame_range import describe
 from bench.plugin_config import plugin_config_from
+from bench.report.terminal import say
 from bench.runs.folder import color_to_8bit
 from bench.types import Image, PinholeView
 
@@ -43,6 +44,13 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--view", type=int, metavar="FRAME", help="render this frame of the run, from its tracked pose")
     parser.add_argument("--right", action="store_true", help="the right camera's view of it")
     parser.add_argument("--out", type=Path, metavar="FILE.png", help="where the rendered view goes")
+    parser.add_argument(
+        "--plugins",
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="a folder of plugins that the run needs",
+    )
     parser.set_defaults(run=run)
 
 
@@ -54,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
         raise BenchError(f"--out {args.out} must end in .png.")
     if args.view is not None and not args.source.is_dir():
         raise BenchError(f"--view renders a frame of a run; give its run folder instead of {args.source}.")
+    # Of the command line alone: code that the run folder names is a stranger's.
+    load_plugins(args.plugins)
     if args.view is None:
         path = _map_file(SavedRunFolder(args.source)) if args.source.is_dir() else args.source
         _print(path, GaussianMap.load(path), Console())
@@ -65,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _print(path: Path, gaussians: GaussianMap, console: Console) -> None:
     facts = f"{path}: {len(gaussians)} Gaussians, spherical harmonics of degree {gaussians.sh_degree}"
-    console.print(f"{facts}, {path.stat().st_size / 1e6:.1f} MB", markup=False, highlight=False, soft_wrap=True)
+    say(f"{facts}, {path.stat().st_size / 1e6:.1f} MB", console)
     if not len(gaussians):
         return
     table = Table(box=None)
@@ -85,9 +95,10 @@ def _print(path: Path, gaussians: GaussianMap, console: Console) -> None:
 
 def _map_file(saved: SavedRunFolder) -> Path:
     """The map that the run's mapper saved; ``BenchError`` for a mapper that saves none."""
-    load_plugins(saved.config.get("plugins") or [])
     name = (saved.config.get("mapper") or {}).get("name")
-    mapper = registry.lookup("mapper", name).cls if name else Mapper
+    if name:
+        saved.require("mapper", str(name))
+    mapper = registry.lookup("mapper", str(name)).cls if name else Mapper
     assert issubclass(mapper, Mapper)
     if mapper.map_file is None:
         raise BenchError(f"The run {saved.path} has no map: its mapper ({name or 'unknown'}) saves none.")
@@ -98,13 +109,14 @@ def _rendered(saved: SavedRunFolder, number: int, right: bool) -> Image:
     """A frame's view of the saved map, by the rasterizer, camera and trajectory of the run."""
     path = _map_file(saved)
     settings = saved.config["mapper"].get("rasterizer")
-    if settings is None:
+    if not isinstance(settings, dict):
         raise BenchError(f"The mapper of {saved.path} has no rasterizer to render its map with.")
     pose = saved.trajectory.pose_of(number)
     if pose is None:
         there = describe(saved.trajectory.numbers.tolist())
         raise BenchError(f"{saved.path} has no pose of frame {number}; it has those of {there}.")
     camera = saved.dataset.camera
+    saved.require("rasterizer", str(settings.get("name", "")))
     rasterizer = registry.build(plugin_config_from("rasterizer", settings), "rasterizer")
     view = PinholeView.of(camera, pose @ camera.T_left_right if right else pose)
     gaussians = GaussianMap.load(path, rasterizer.device)

@@ -12,10 +12,11 @@ from rich.console import Console
 
 from bench.commands.hydra_flags import add_hydra_flags, given_overrides
 from bench.config import check_overrides, plugin_folders, with_home
+from bench.report.terminal import say
 from bench.runs.config_file import CONFIG_FILE
 from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
 from bench.sweeps.launchers.make import make_runs
-from bench.sweeps.listing import list_plan, list_skipped, say
+from bench.sweeps.listing import list_plan, list_skipped
 from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import Plan, make_plan
 from bench.sweeps.sweep import Choice

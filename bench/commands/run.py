@@ -19,6 +19,7 @@ from bench.commands.hydra_flags import add_config_flags, add_hydra_flags, config
 from bench.config import RunConfig, compose_run
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
+from bench.report.terminal import say
 from bench.runs.config_file import CONFIG_FILE, RUNS_FOLDER
 from bench.runs.folder import LOG_FILE, METRICS_FILE
 from bench.runs.lock import only_one
@@ -30,7 +31,7 @@ from bench.sweeps.combinations import plan_combinations, require_writable
 from bench.sweeps.experiment import table_experiments
 from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
 from bench.sweeps.launchers.make import make_runs
-from bench.sweeps.listing import list_plan, list_skipped, say
+from bench.sweeps.listing import list_plan, list_skipped
 from bench.sweeps.lookup import look_up
 from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView
@@ -95,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     path = _run_one(config, console)
     print_table([collect_row(path)], console)
-    console.print(f"run folder: {path}", markup=False, highlight=False, soft_wrap=True)
+    say(f"run folder: {path}", console)
     return 0
 
 
@@ -111,7 +112,7 @@ def _run_one(config: RunConfig, console: Console) -> Path:
 
     def wait(who: str) -> None:
         text = f"{who} makes this run already ({config.output}); waiting for it"
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
+        say(text, console)
 
     with only_one(config.output, wait):
         return _run_alone(config, console)

@@ -18,6 +18,7 @@ from bench.evaluation.trajectory_pair import FORMATS, read_pair
 from bench.external.score import score_folder
 from bench.external.settings import AXES, CONVENTIONS, NUMBERS, STATES
 from bench.report.progress import scoring_progress
+from bench.report.terminal import say
 from bench.tables.collect import Column, Row, about_lost_frames, collect_row, static_camera_of
 from bench.tables.render import print_table
 
@@ -134,7 +135,7 @@ def _score_folder(folder: Path, overrides: list[str], args: argparse.Namespace) 
     console = Console(stderr=args.json)
 
     def tell(line: str) -> None:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        say(line, console)
 
     with scoring_progress(console) as show:
         scored = score_folder(folder, overrides, options, tell, show)
@@ -165,7 +166,7 @@ def _score_pair(args: argparse.Namespace) -> int:
     console = Console()
     print_table([_row(estimate.name, args.ground_truth.name, score.metrics)], console, COLUMNS)
     if args.plot is not None:
-        console.print(f"wrote {args.plot}", markup=False, highlight=False, soft_wrap=True)
+        say(f"wrote {args.plot}", console)
     return 0
 
 

@@ -18,6 +18,7 @@ from bench.errors import BenchError
 from bench.evaluation.stereo_backbone import require_truth
 from bench.evaluation.stereo_process import Broken, score_in_process
 from bench.plugin_config import plugin_config_from
+from bench.report.terminal import say
 from bench.runs.config_file import read_config
 from bench.tables.collect import find_runs
 from bench.tables.document.csv_text import data_as_csv
@@ -82,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     datasets = _datasets(configs)
     console = Console()
     for text in dict.fromkeys(text for dataset in datasets for text in dataset.to_tell()):
-        console.print(f"warning: {text}", markup=False, highlight=False, soft_wrap=True)
+        say(f"warning: {text}", console)
     scored = _score_all(configs, datasets, args.warm_up, console)
     rows = stereo_rows(scored, runs)
     print_table(rows, console, STEREO_COLUMNS)
@@ -92,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         texts[args.per_image] = data_as_csv(Data(IMAGE_COLUMNS, image_table(scored)), Path())
     for path, text in texts.items():
         save(path, text)
-        console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+        say(f"wrote {path}", console)
     return 1 if any(isinstance(one.outcome, Broken) for one in scored) else 0
 
 

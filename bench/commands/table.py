@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from bench.errors import BenchError, did_you_mean
+from bench.report.terminal import say
 from bench.runs.config_file import RUNS_FOLDER
 from bench.tables.collect import collect_row, find_runs, row_of
 from bench.tables.document.forms import FORMS, form_of, save, text_of
@@ -147,4 +148,4 @@ def _write(path: Path, text: str, console: Console) -> None:
 
 
 def _say_wrote(path: Path, console: Console) -> None:
-    console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
+    say(f"wrote {path}", console)

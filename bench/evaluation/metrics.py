@@ -12,6 +12,8 @@ from bench.contracts.metric import Metric
 from bench.discovery import is_builtin, load_evaluators
 from bench.errors import BenchError
 
+_MOST_DECIMALS = 15
+"""A float has no more."""
 DECLARED = "declared"
 """Where ``metrics.json`` keeps what evaluators from elsewhere declare: tables need it when these are not there."""
 
@@ -36,10 +38,23 @@ def metrics_from(declared: Any) -> list[Metric]:
     found = []
     for values in declared if isinstance(declared, list) else ():
         try:
-            found.append(Metric(**values))
+            metric = Metric(**values)
         except (TypeError, AttributeError, BenchError):
             continue
+        if _is_sound(metric):
+            found.append(metric)
     return found
+
+
+def _is_sound(metric: Metric) -> bool:
+    """Whether its values are of the types that tables work with: a run folder can say anything."""
+    texts = (metric.key, metric.title, metric.unit, metric.path)
+    counts = (metric.order, metric.decimals or 0)
+    return (
+        all(isinstance(text, str) for text in texts)
+        and all(isinstance(count, int) for count in counts)
+        and (metric.decimals or 0) <= _MOST_DECIMALS
+    )
 
 
 @cache

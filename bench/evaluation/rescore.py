@@ -57,10 +57,12 @@ def _changed(run: SavedRunFolder, overrides: Sequence[str]) -> dict[str, Any]:
                 f"{override}: scoring a saved run again can change its protocol and its evaluators (protocol=paper, "
                 "protocol.ssim=3dgs, evaluator=[ate,dialects]); anything else needs a new run."
             )
-    evaluators = list(run.config.get("evaluator") or {})
-    common = [f"plugins={[str(folder) for folder in run.config.get('plugins') or []]}"]
+    common = []
     if "evaluator" not in keys:
-        common.append(f"evaluator=[{','.join(evaluators)}]")
+        evaluators = [str(name) for name in run.config.get("evaluator") or {}]
+        for name in evaluators:
+            run.require("evaluator", name)
+        common = [f"evaluator=[{','.join(evaluators)}]"]
     composed = compose_run([*common, *overrides]).values
     changed = dict(run.config)
     for part in ("protocol", "evaluator"):

@@ -11,7 +11,6 @@ from typing import Any
 from bench import registry
 from bench.contracts.evaluator import Evaluator, ViewEvaluator
 from bench.contracts.saved_run import SavedRun
-from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.frame_states import count_states
 from bench.evaluation.gaps import about_gaps
@@ -30,9 +29,11 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
     """Score the run folder at ``path`` with the evaluators of its config; write and return the metrics.
 
     ``on_progress(what, done, total)`` is called while images are scored. A run that failed or was interrupted is scored
-    as far as it got. An evaluator that can't run here leaves a note instead of its numbers. Raises ``BenchError`` for
-    a folder that is no run, is incomplete or damaged, and when two evaluators disagree about the same number; where a
-    run has no scores yet, its status then says what came in between, and that only its scores are missing.
+    as far as it got. An evaluator that can't run here leaves a note instead of its numbers. Plugins that the run needs
+    are loaded before: the folders of plugins that its config names are not looked into. Raises ``BenchError`` for a
+    plugin that is not there, a folder that is no run, is incomplete or damaged, and when two evaluators disagree about
+    the same number; where a run has no scores yet, its status then says what came in between, and that only its scores
+    are missing.
     """
     run = SavedRunFolder(path)
     run.on_progress = on_progress
@@ -41,7 +42,8 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
 
 
 def _scored(run: SavedRunFolder) -> dict[str, Any]:
-    load_plugins(run.config.get("plugins") or [])
+    for name in run.config.get("evaluator") or {}:
+        run.require("evaluator", str(name))
     metrics: dict[str, Any] = {"protocol": run.protocol.stamp() | {"right_images_mapped": _learned_from_right(run)}}
     evaluators = [_evaluator(name, mapping or {}) for name, mapping in (run.config.get("evaluator") or {}).items()]
     _show_views(run, [evaluator for evaluator in evaluators if isinstance(evaluator, ViewEvaluator)])

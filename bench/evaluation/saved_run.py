@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,8 @@ from bench.contracts.dataset import Dataset
 from bench.contracts.saved_run import VIEW_OF_GROUP, Group, LpipsMetric, SavedRun, SavedView
 from bench.errors import BenchError
 from bench.io.csv_files import read_csv
+from bench.io.foreign import read_plain, reading
+from bench.io.images import image_size
 from bench.plugin_config import plugin_config_from
 from bench.protocol import Protocol
 from bench.runs.config_file import CONFIG_FILE, read_config
@@ -53,10 +56,35 @@ class SavedRunFolder(SavedRun):
         if known is None:
             raise BenchError(f"{self.path} is no run folder: it has no {CONFIG_FILE} that `bgs-bench run` wrote.")
         self.config, self.config_hash = known
+        self._require_sections()
         self.on_progress: ProgressReport | None = None
         self._per_frame: dict[tuple[str, int], dict[str, Any]] = {}
         self._frame: tuple[int, StereoFrame] | None = None
         self.weights: dict[str, Path] = {}
+
+    def _require_sections(self) -> None:
+        """Raise ``BenchError`` where a section of the config that scoring reads is none."""
+        evaluators = self.config.get("evaluator")
+        sections = [self.config.get(name) for name in ("protocol", "dataset", "mapper")]
+        sections += [evaluators, *(evaluators.values() if isinstance(evaluators, dict) else ())]
+        if not all(section is None or isinstance(section, dict) for section in sections):
+            raise BenchError(
+                f"{self.path / CONFIG_FILE} is not what `bgs-bench run` writes: one of its sections has no settings. "
+                "Delete the run folder and run again."
+            )
+
+    def require(self, kind: str, name: str) -> None:
+        """Raise ``BenchError`` for a plugin that nobody has loaded; where the config names folders of plugins, with
+        them and the command that loads them: what a run folder names is never run by itself."""
+        folders = self.config.get("plugins")
+        if name in registry.names(kind) or not isinstance(folders, list) or not folders:
+            registry.lookup(kind, name)
+            return
+        named = " ".join(f"--plugins {shlex.quote(str(folder))}" for folder in folders)
+        raise BenchError(
+            f"{self.path} was made with {kind}={name}, a plugin of the folder {', '.join(map(str, folders))} that its "
+            f"config names. Code that a run folder names is not run by itself; if you trust it, give {named}."
+        )
 
     @cached_property
     def status(self) -> RunStatus:
@@ -77,6 +105,7 @@ class SavedRunFolder(SavedRun):
         mapping = self.config.get("dataset")
         if not isinstance(mapping, dict):
             raise BenchError(f"{self.path / CONFIG_FILE} names no dataset, so the run can't be scored.")
+        self.require("dataset", str(mapping.get("name", "")))
         dataset = registry.build(plugin_config_from("dataset", mapping), "dataset")
         assert isinstance(dataset, Dataset)
         return dataset
@@ -95,7 +124,10 @@ class SavedRunFolder(SavedRun):
     @cached_property
     def frames(self) -> pd.DataFrame:
         """``frames.csv``, checked; columns of yes and no are boolean."""
-        table = read_csv(self.path / FRAMES_FILE, FRAME_COLUMNS)
+        path = self.path / FRAMES_FILE
+        table = read_csv(path, FRAME_COLUMNS)
+        with reading(path, "can't be read as frames with numbers", "Run again with rerun=true."):
+            table["number"] = table["number"].to_numpy(dtype=np.int64)
         for column in ("mapped", "heldout", "right_mapped", *_PICTURE_COLUMNS):
             if column not in table:
                 continue
@@ -227,9 +259,13 @@ class SavedRunFolder(SavedRun):
     def _picture(self, path: Path, flags: int, dtype: type) -> Any:
         if not path.is_file():
             return None
-        # Bytes are read here: OpenCV prints its own warnings about files that it can't open.
-        content = np.fromfile(path, dtype=np.uint8)
-        picture = cv2.imdecode(content, flags) if content.size else None
+        try:
+            image_size(path)
+        except BenchError as error:
+            raise BenchError(f"{path} is damaged and can't be decoded. Run again with rerun=true.") from error
+        with reading(path, "is damaged", "Run again with rerun=true."):
+            # Bytes are read here: OpenCV prints its own warnings about files that it can't open.
+            picture = cv2.imdecode(np.frombuffer(read_plain(path), np.uint8), flags)
         if picture is None or picture.dtype != dtype or (dtype is np.uint16 and picture.ndim != 2):
             raise BenchError(f"{path} is damaged and can't be decoded. Run again with rerun=true.")
         return picture

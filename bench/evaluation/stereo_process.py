@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
@@ -26,7 +29,8 @@ def score_in_process(config: RunConfig, warm_up: int, on_progress: Progress | No
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_score, args=(theirs, config, warm_up), daemon=True)
-    process.start()
+    with _without_the_current_folder():
+        process.start()
     # The only writing end left is the child's, so that its death ends `recv`.
     theirs.close()
     try:
@@ -42,6 +46,21 @@ def score_in_process(config: RunConfig, warm_up: int, on_progress: Progress | No
     finally:
         process.terminate()
         process.join()
+
+
+@contextmanager
+def _without_the_current_folder() -> Iterator[None]:
+    """A Python that is started in the block takes no module from the current folder, as with ``-P``."""
+    name = "PYTHONSAFEPATH"
+    before = os.environ.get(name)
+    os.environ[name] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
 
 
 def _score(results: Connection, config: RunConfig, warm_up: int) -> None:

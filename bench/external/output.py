@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,6 +24,8 @@ from bench.external.pictures import DepthFormat, NotMetricError, check_content, 
 from bench.external.poses import WrittenPoses, read_written_poses
 from bench.external.search import Pictures, search
 from bench.external.settings import ScoreSettings
+from bench.io.foreign import read_plain
+from bench.io.torch_files import MOST_BYTES
 from bench.io.trajectories import known_poses
 from bench.runs.config_file import CONFIG_FILE, read_config
 from bench.types import Float, Trajectory
@@ -59,7 +61,7 @@ def read_output(folder: Path, settings: ScoreSettings, dataset: Dataset) -> Exte
     contents = search(folder, settings)
     times = frame_times(dataset)
     reader = _Reader(folder, settings, dataset, times)
-    reader.read_trajectory(contents.trajectory)
+    reader.read_trajectory(contents.trajectory, contents.outside)
     left = reader.pictures("renders", contents.renders)
     right = reader.pictures("right renders", contents.renders_right)
     form = DepthFormat(settings.depth_scale, settings.depth_scale is not None)
@@ -113,10 +115,12 @@ class _Reader:
         self.about: list[str] = []
         self.digest = hashlib.sha256()
 
-    def read_trajectory(self, path: Path | None) -> None:
+    def read_trajectory(self, path: Path | None, outside: Sequence[Path]) -> None:
         """Read the poses and find their frames."""
         if path is None:
-            self.about.append("trajectory: none found")
+            unopened = ", ".join(str(link.relative_to(self._folder)) for link in outside[:5])
+            why = f"; not opened, as it leads out of the folder: {unopened}. Put a copy there" if outside else ""
+            self.about.append(f"trajectory: none found{why}")
             return
         written, frames = read_written_poses(path), self._dataset.numbers
         places = self._places(written, str(path))
@@ -128,9 +132,9 @@ class _Reader:
         self.trajectory = Trajectory(T, numbers, self._times[at])
         self._remember("trajectory", path.relative_to(self._folder), [path])
         shown = f"{len(rows)} poses" if len(rows) == len(frames) else f"poses of {len(rows)} of {len(frames)} frames"
-        outside = f", {places.left_out} of other frames left out" if places.left_out else ""
+        others = f", {places.left_out} of other frames left out" if places.left_out else ""
         where = path.relative_to(self._folder)
-        self.about.append(f"trajectory: {where}, {written.form}, {shown} by {places.by}{outside}")
+        self.about.append(f"trajectory: {where}, {written.form}, {shown} by {places.by}{others}")
         hint = about_convention(written, self._settings, self.trajectory, rows, self._dataset.ground_truth())
         self.about += [f"hint: {hint}"] if hint is not None else []
         self._remember_keyframes(written, places)
@@ -207,7 +211,7 @@ class _Reader:
     def _remember(self, kind: str, where: str | Path, files: list[Path]) -> None:
         self.sources[kind] = str(where)
         for file in files:
-            content = file.read_bytes()
+            content = read_plain(file, MOST_BYTES)
             check_content(file, content)
             its_hash = hashlib.sha256(content).hexdigest()
             self.digest.update(f"{kind} {file.relative_to(self._folder)} {its_hash}\n".encode())

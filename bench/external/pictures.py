@@ -11,11 +11,14 @@ import cv2
 import numpy as np
 
 from bench.errors import BenchError
+from bench.io.foreign import plain_size, read_plain, reading
 from bench.io.images import image_size
+from bench.io.numpy_files import npy_header, read_npy
 from bench.runs.folder import DEPTH_SCALE
 from bench.types import Map
 
 _PNG_START = b"\x89PNG\r\n\x1a\n"
+_AS_AN_ARRAY = ("can't be read as a NumPy array", "Write it again with numpy.save.")
 _CHUNK_FRAME = 12
 """Bytes of a PNG chunk besides its data: length, type, checksum."""
 
@@ -45,7 +48,9 @@ def check_sizes(files: Sequence[Path], size: Size) -> None:
     """Check by their headers that all PNG and JPEG files are whole and of ``size``; ``BenchError`` names the first."""
     for file in files:
         if file.suffix.lower() == ".npy":
+            _require_array(file, size)
             continue
+        plain_size(file, _most_bytes(size))
         there = image_size(file)
         if there != size:
             raise BenchError(
@@ -92,28 +97,37 @@ def read_depth(file: Path, size: Size, form: DepthFormat) -> Map:
     Raises ``BenchError`` for damage, another size, and arrays that are not of floating-point numbers.
     """
     if file.suffix.lower() == ".npy":
-        stored = _read_array(file)
+        with reading(file, *_AS_AN_ARRAY):
+            stored = np.squeeze(read_npy(file, _most_bytes(size)))
     else:
-        decoded = cv2.imdecode(np.fromfile(file, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-        if decoded is None:
-            raise BenchError(f"{file} is damaged and can't be decoded. Write it again.")
+        with reading(file, "can't be read as a picture", "Write it again."):
+            decoded = cv2.imdecode(np.frombuffer(read_plain(file, _most_bytes(size)), np.uint8), cv2.IMREAD_UNCHANGED)
+            if decoded is None:
+                raise BenchError(f"{file} is damaged and can't be decoded. Write it again.")
         stored = np.asarray(decoded)
-    if stored.shape != (size[1], size[0]):
-        raise BenchError(
-            f"{file} has shape {stored.shape}; the data set's images are {size[0]}x{size[1]}, so (H, W) is "
-            f"({size[1]}, {size[0]})."
-        )
+    _require_shape(file, stored.shape, size)
     metres = stored.astype(np.float32) / np.float32(form.scale_of(file))
     metres[~(np.isfinite(metres) & (metres > 0))] = np.nan
     return metres
 
 
-def _read_array(file: Path) -> np.ndarray:
-    try:
-        stored = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        reason = " ".join(str(error).split())
-        raise BenchError(f"{file} can't be read as a NumPy array: {reason}. Write it again with numpy.save.") from error
-    if not isinstance(stored, np.ndarray) or not np.issubdtype(stored.dtype, np.floating):
+def _most_bytes(size: Size) -> int:
+    """A picture or array of ``size`` has no more: 16 bytes a pixel, and room for what stands beside them."""
+    return 16 * size[0] * size[1] + 1_000_000
+
+
+def _require_array(file: Path, size: Size) -> None:
+    """Check by its header that a ``.npy`` file holds depth of ``size``."""
+    with reading(file, *_AS_AN_ARRAY):
+        header = npy_header(file, _most_bytes(size))
+    if not np.issubdtype(header.dtype, np.floating):
         raise BenchError(f"{file} holds no floating-point numbers. Depth in .npy is float32, in metres.")
-    return np.squeeze(stored)
+    _require_shape(file, tuple(side for side in header.shape if side != 1), size)
+
+
+def _require_shape(file: Path, shape: tuple[int, ...], size: Size) -> None:
+    if shape != (size[1], size[0]):
+        raise BenchError(
+            f"{file} has shape {shape}; the data set's images are {size[0]}x{size[1]}, so (H, W) is "
+            f"({size[1]}, {size[0]})."
+        )

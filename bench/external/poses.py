@@ -3,26 +3,30 @@ Point-SLAM."""
 
 from __future__ import annotations
 
-import json
+import math
 import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
-from bench.errors import BenchError
+from bench.errors import BenchError, first_line
 from bench.evaluation.trajectory_pair import detect_format
 from bench.external.numbering import Numbers
 from bench.geometry import se3
-from bench.io.text_files import read_text
+from bench.io.foreign import MOST_TEXT, plain_size, reading
+from bench.io.json_files import load_json
+from bench.io.numpy_files import npy_header, npz_headers, read_npy, read_npz
+from bench.io.torch_files import MOST_BYTES, load_tensors
 from bench.io.trajectories import read_kitti_poses, read_tum
 from bench.types import Float
 
 TEXT, ARRAY, TORCH = (".txt", ".tum", ".kitti"), (".npy", ".npz"), (".ckpt", ".tar", ".pt", ".pth")
 SUFFIXES = (*TEXT, *ARRAY, *TORCH, ".json")
 _ROTATION_TOLERANCE = 1e-2
+_MOST_POSES = 1_000_000
+"""A day of driving at ten frames a second; an array that claims more is damaged, or made to fill the memory."""
 _FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenGL's camera axes (y up, z backwards) to OpenCV's; its own inverse."""
 
@@ -62,8 +66,9 @@ def read_written_poses(path: Path) -> WrittenPoses:
     those that are no rigid motion.
     """
     suffix = path.suffix.lower()
-    if not path.is_file():
+    if not path.exists():
         raise BenchError(f"The trajectory file {path} does not exist. Check the path.")
+    plain_size(path, MOST_BYTES if suffix in (*ARRAY, *TORCH) else MOST_TEXT)
     if suffix in ARRAY:
         return _read_numpy(path)
     if suffix == ".json":
@@ -77,37 +82,26 @@ def read_written_poses(path: Path) -> WrittenPoses:
 
 
 def _read_numpy(path: Path) -> WrittenPoses:
-    try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return WrittenPoses(_checked(loaded, path), "NumPy")
-        with loaded:
-            if {"cam_unnorm_rots", "cam_trans"} <= set(loaded.files):
-                return _splatam(dict(_arrays(loaded, "cam_unnorm_rots", "cam_trans", "keyframe_time_indices")), path)
-            stacks = [name for name, shape in _shapes(loaded).items() if _is_stack(shape)]
-            if len(stacks) != 1:
-                raise BenchError(
-                    f"{path} holds {len(stacks)} arrays of poses (N, 4, 4) ({', '.join(loaded.files)}); one is needed. "
-                    "Save the trajectory alone, as .npy."
-                )
-            return WrittenPoses(_checked(loaded[stacks[0]], path), f"NumPy, array {stacks[0]}")
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        reason = " ".join(str(error).split())
-        raise BenchError(f"{path} can't be read as NumPy arrays without pickled objects: {reason}.") from error
-
-
-def _arrays(loaded: Any, *names: str) -> list[tuple[str, Any]]:
-    return [(name, loaded[name]) for name in names if name in loaded.files]
-
-
-def _shapes(loaded: Any) -> dict[str, tuple[int, ...]]:
-    """Shape of each array of numbers in an opened ``.npz``."""
-    found = {}
-    for name in loaded.files:
-        array = loaded[name]
-        if np.issubdtype(array.dtype, np.number):
-            found[name] = array.shape
-    return found
+    with reading(
+        path, "can't be read as NumPy arrays without pickled objects", "Save the trajectory alone, with numpy.save."
+    ):
+        if path.suffix.lower() == ".npy":
+            _require_stack(npy_header(path, MOST_BYTES).shape, path)
+            return WrittenPoses(_checked(read_npy(path, MOST_BYTES), path), "NumPy")
+        there = npz_headers(path, MOST_BYTES)
+        if {"cam_unnorm_rots", "cam_trans"} <= set(there):
+            names = ("cam_unnorm_rots", "cam_trans", "keyframe_time_indices")
+            wanted = {name: there[name] for name in names if name in there}
+            return _splatam(read_npz(path, wanted, 16 * 8 * _MOST_POSES), path)
+        stacks = [name for name, header in there.items() if header.dtype.kind in "fiu" and _is_stack(header.shape)]
+        if len(stacks) != 1:
+            raise BenchError(
+                f"{path} holds {len(stacks)} arrays of poses (N, 4, 4) ({', '.join(there)}); one is needed. Save the "
+                "trajectory alone, as .npy."
+            )
+        _require_stack(there[stacks[0]].shape, path)
+        poses = read_npz(path, {stacks[0]: there[stacks[0]]}, math.inf)[stacks[0]]
+        return WrittenPoses(_checked(poses, path), f"NumPy, array {stacks[0]}")
 
 
 def _splatam(arrays: dict[str, Any], path: Path) -> WrittenPoses:
@@ -130,45 +124,62 @@ def _splatam(arrays: dict[str, Any], path: Path) -> WrittenPoses:
 
 def _read_monogs(path: Path) -> WrittenPoses:
     """Ids of keyframes and their camera-to-world poses: ``{"trj_id": [...], "trj_est": [...], ...}``."""
-    try:
-        content = json.loads(read_text(path))
+    with reading(
+        path, "can't be read as MonoGS's trajectory, with lists trj_id and trj_est", "Convert it to KITTI or TUM."
+    ):
+        content = load_json(path)
         numbers = np.array(content["trj_id"], dtype=np.int64)
         T = np.array(content["trj_est"], dtype=np.float64)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BenchError(
-            f"{path} can't be read as MonoGS's trajectory, with lists trj_id and trj_est ({error}). Convert it to "
-            "KITTI or TUM."
-        ) from error
-    if numbers.shape != T.shape[:1] or len(np.unique(numbers)) != len(numbers):
-        raise BenchError(f"{path}: trj_id needs one number for each of the {len(T)} poses of trj_est, none twice.")
-    return WrittenPoses(_checked(T, path), "MonoGS keyframes", numbers=numbers, keyframes=numbers)
+        if numbers.shape != T.shape[:1] or len(np.unique(numbers)) != len(numbers):
+            raise BenchError(f"{path}: trj_id needs one number for each of the {len(T)} poses of trj_est, none twice.")
+        return WrittenPoses(_checked(T, path), "MonoGS keyframes", numbers=numbers, keyframes=numbers)
 
 
 def _read_torch(path: Path) -> WrittenPoses:
-    import torch  # its loader is needed for these files only
-
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, OSError, EOFError, ValueError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise BenchError(
-            f"{path} can't be read without running code in it ({reason}). Save its poses with numpy.save as (N, 4, 4)."
-        ) from error
-    if isinstance(content, dict) and "estimate_c2w_list" in content:
-        poses, count = content["estimate_c2w_list"], int(content.get("idx", -1)) + 1
-        T = np.asarray(poses, dtype=np.float64)[: count or None]
-        keyframes = content.get("keyframe_list")
-        mapped = None if keyframes is None else np.asarray(keyframes, dtype=np.int64).ravel()
-        return WrittenPoses(_checked(T, path), "Point-SLAM checkpoint", keyframes=mapped, opengl=True)
-    if isinstance(content, torch.Tensor):
-        return WrittenPoses(_checked(content.double().numpy(), path), "PyTorch tensor")
+    with reading(path, "can't be read as a file of torch.save", "Save its poses with numpy.save as (N, 4, 4)."):
+        try:
+            content = load_tensors(path)
+        except pickle.UnpicklingError as error:
+            raise BenchError(
+                f"{path} can't be read without running code in it ({first_line(error)}). Save its poses with "
+                "numpy.save as (N, 4, 4)."
+            ) from error
+        if isinstance(content, dict) and "estimate_c2w_list" in content:
+            poses, count = content["estimate_c2w_list"], int(content.get("idx", -1)) + 1
+            keyframes = content.get("keyframe_list")
+            mapped = None if keyframes is None else np.asarray(keyframes, dtype=np.int64).ravel()
+            T = _array(poses, path)[: count or None]
+            return WrittenPoses(_checked(T, path), "Point-SLAM checkpoint", keyframes=mapped, opengl=True)
+        if not isinstance(content, dict):
+            return WrittenPoses(_checked(_array(content, path), path), "PyTorch tensor")
     raise BenchError(f"{path} holds no tensor of poses (N, 4, 4) and no estimate_c2w_list. Save them as .npy.")
+
+
+def _array(poses: Any, path: Path) -> Float:
+    """Poses (N, 4, 4) of a checkpoint: one tensor, also one that was being learned, or a list of matrices."""
+    import torch  # its tensors come from its files only
+
+    if isinstance(poses, (list, tuple)) and all(isinstance(pose, torch.Tensor) for pose in poses):
+        _require_stack((len(poses), *(poses[0].shape if poses else ())), path)
+        poses = torch.stack([pose.detach() for pose in poses])
+    if not isinstance(poses, torch.Tensor):
+        return np.asarray(poses, dtype=np.float64)
+    # Before it is converted: a tensor's shape costs nothing, whatever it says.
+    _require_stack(tuple(poses.shape), path)
+    return np.asarray(poses.detach().double().numpy())
+
+
+def _require_stack(shape: tuple[int, ...], path: Path) -> None:
+    if not _is_stack(shape):
+        raise BenchError(f"{path} holds an array of shape {shape}; poses are (N, 4, 4) or (N, 3, 4).")
+    if shape[0] > _MOST_POSES:
+        raise BenchError(f"{path} says that it holds {shape[0]} poses; more than {_MOST_POSES} are not plausible.")
 
 
 def _checked(poses: Any, path: Path) -> Float:
     """Poses (N, 4, 4) with exact rotations; ``BenchError`` names the first that is none."""
     T = np.asarray(poses)
-    if not (np.issubdtype(T.dtype, np.number) and _is_stack(T.shape)):
+    if T.dtype.kind not in "fiu" or not _is_stack(T.shape):
         raise BenchError(f"{path} holds {T.dtype} of shape {T.shape}; poses are (N, 4, 4) or (N, 3, 4).")
     full = np.tile(np.eye(4), (len(T), 1, 1))
     full[:, : T.shape[1]] = T

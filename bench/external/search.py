@@ -7,12 +7,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from bench.errors import BenchError
 from bench.external.poses import SUFFIXES, TEXT
 from bench.external.settings import NONE, SETTINGS_FILE, ScoreSettings
+from bench.io.foreign import MOST_TEXT, open_plain
 from bench.io.images import IMAGE_SUFFIXES
+from bench.io.numpy_files import npy_header
+from bench.io.torch_files import MOST_BYTES
 
 DEPTH_SUFFIXES = (".png", ".npy")
 _DEEPEST = 4
@@ -27,6 +28,8 @@ _RIGHT = ({"renders_right", "rendered_right", "right_renders", "render_right"}, 
 _DEPTH = (
     *({"rendered_depth", "renders_depth", "depth_rendered"}, {"depth", "depths", "depth_npy", "rendered_every_frame"}),
 )
+_BEGINNING = 65536
+"""Bytes of a text file in which its first pose must lie."""
 _NOT_ESTIMATES = ("gt", "truth", "times", "calib", "intrinsic", "reference")
 
 
@@ -41,26 +44,31 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Contents:
-    """What there is to score; None for what there is not."""
+    """What there is to score; None for what there is not. ``outside``: links that were not opened, as they lead out of
+    the folder."""
 
     trajectory: Path | None
     renders: Pictures | None
     renders_right: Pictures | None
     depth: Pictures | None
+    outside: tuple[Path, ...] = ()
 
 
 def search(folder: Path, settings: ScoreSettings) -> Contents:
     """Find trajectory, renders and depth in ``folder``.
 
-    Raises ``BenchError`` where there is more than one candidate, where what the user named is not there, and for what
-    lies outside of the folder.
+    Links to files in the folder are followed, to folders never; nothing is opened that is no plain file in the folder,
+    or is of an implausible size. Raises ``BenchError`` where there is more than one candidate, where what the user
+    named is not there, and for what lies outside of the folder.
     """
     folders = list(_folders(folder))
+    trajectory, outside = _trajectory(folder, folders, settings.trajectory)
     return Contents(
-        _trajectory(folder, folders, settings.trajectory),
+        trajectory,
         _pictures(folder, folders, settings.renders, _COLOR, IMAGE_SUFFIXES, "--renders"),
         _pictures(folder, folders, settings.renders_right, _RIGHT, IMAGE_SUFFIXES, "--renders-right"),
         _pictures(folder, folders, settings.depth, _DEPTH, DEPTH_SUFFIXES, "--depth"),
+        outside,
     )
 
 
@@ -72,26 +80,36 @@ def _folders(top: Path) -> Iterator[tuple[Path, list[Path]]]:
         yield Path(place), [Path(place) / name for name in sorted(names) if not name.startswith(".")]
 
 
-def _trajectory(top: Path, folders: Sequence[tuple[Path, list[Path]]], named: str) -> Path | None:
+def _trajectory(
+    top: Path, folders: Sequence[tuple[Path, list[Path]]], named: str
+) -> tuple[Path | None, tuple[Path, ...]]:
+    """The trajectory, and the links among those files that may be one which lead out of the folder."""
     if named == NONE:
-        return None
+        return None, ()
     if named:
         path = top / named
-        if not path.is_file():
+        if not path.exists():
             raise BenchError(f"--trajectory {named}: {path} does not exist. Give a file in {top}, or none.")
-        return _inside(path, top)
-    found = [file for _, files in folders for file in files if _is_trajectory(file)]
+        return _inside(path, top), ()
+    named_so = [file for _, files in folders for file in files if _may_be_a_trajectory(file)]
+    outside = tuple(file for file in named_so if _leads_out(file, top))
+    found = [file for file in named_so if file not in outside and _is_trajectory(file)]
     if len(found) > 1:
         names = ", ".join(str(file.relative_to(top)) for file in found[:5])
         raise BenchError(f"{top} holds {len(found)} files that may be the trajectory: {names}. Say --trajectory FILE.")
-    return _inside(found[0], top) if found else None
+    return (found[0], ()) if found else (None, outside)
+
+
+def _may_be_a_trajectory(file: Path) -> bool:
+    name = file.name.lower()
+    return (
+        file.suffix.lower() in SUFFIXES and name != SETTINGS_FILE and not any(word in name for word in _NOT_ESTIMATES)
+    )
 
 
 def _is_trajectory(file: Path) -> bool:
     """By its name and a look at its beginning; checkpoints only under the names that systems give them."""
     name, suffix = file.name.lower(), file.suffix.lower()
-    if suffix not in SUFFIXES or name == SETTINGS_FILE or any(word in name for word in _NOT_ESTIMATES):
-        return False
     if suffix in TEXT:
         return _starts_with_a_pose(file)
     if suffix == ".npz":
@@ -104,20 +122,21 @@ def _is_trajectory(file: Path) -> bool:
 def _starts_with_a_pose(file: Path) -> bool:
     """Whether the first line is 12 or 8 numbers."""
     try:
-        with file.open(encoding="utf-8") as text:
-            lines = (line.split() for line in text if line.strip() and not line.lstrip().startswith("#"))
-            words = next(lines, [])
+        with open_plain(file, MOST_TEXT) as opened:
+            beginning = opened.read(_BEGINNING)
+        lines = beginning.decode("utf-8-sig", errors="ignore").splitlines()
+        words = next((line.split() for line in lines if line.strip() and not line.lstrip().startswith("#")), [])
         return len(words) in (8, 12) and bool([float(word) for word in words])
-    except (OSError, ValueError):  # ValueError: no number, or no text
+    except (OSError, ValueError, BenchError):  # ValueError: no numbers; BenchError: no plain file
         return False
 
 
 def _is_pose_array(file: Path) -> bool:
     try:
-        array = np.load(file, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError):
+        shape = npy_header(file, MOST_BYTES).shape
+    except Exception:  # no array, whatever else it is; one that the user names is read, and what is wrong is told
         return False
-    return array.ndim == 3 and array.shape[1:] in ((4, 4), (3, 4)) and len(array) > 0
+    return len(shape) == 3 and shape[1:] in ((4, 4), (3, 4)) and shape[0] > 0
 
 
 def _pictures(
@@ -163,6 +182,10 @@ def _named_pictures(top: Path, named: str, suffixes: Sequence[str], option: str)
 
 def _inside(path: Path, top: Path) -> Path:
     """``path``; ``BenchError`` where it, or what it is a link to, lies outside of the folder ``top``."""
-    if not path.resolve().is_relative_to(top.resolve()):
+    if _leads_out(path, top):
         raise BenchError(f"{path} leads out of the folder {top}. Put a copy of the file there.")
     return path
+
+
+def _leads_out(path: Path, top: Path) -> bool:
+    return not path.resolve().is_relative_to(top.resolve())

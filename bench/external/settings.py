@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import yaml  # type: ignore[import-untyped]  # comes with omegaconf
-
 from bench.errors import BenchError, did_you_mean, require_choice
-from bench.io.text_files import read_text
+from bench.io.foreign import read_plain_text, reading
+from bench.io.yaml_files import parse_yaml
 
 SETTINGS_FILE = "score.yaml"
+_MOST_BYTES = 1_000_000
 NONE = "none"
 """In place of a file or folder: there is none, don't look for one."""
 NUMBERS = ("auto", "frame", "position")
@@ -62,11 +62,11 @@ class ScoreSettings:
         require_choice("status", self.status, STATES)
         for name in ("depth_scale", "max_time_difference_s"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
+            if value is not None and not 0 < value <= sys.float_info.max:
                 raise BenchError(f"{name}={value} must be a number above 0.")
         for name, value in self.resources.items():
             require_choice("resources", name, RESOURCES)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < math.inf:
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value <= sys.float_info.max:
                 raise BenchError(f"resources.{name}={value} must be a number, 0 or more.")
 
     def recorded(self) -> dict[str, Any]:
@@ -81,7 +81,7 @@ def read_settings(folder: Path, options: Mapping[str, Any]) -> ScoreSettings:
     Raises ``BenchError`` for a file that can't be read, an unknown setting, and a value of the wrong type.
     """
     path = folder / SETTINGS_FILE
-    written = _read_yaml(path) if path.is_file() else {}
+    written = _read_yaml(path) if path.exists() else {}
     accepted = {each.name: each for each in fields(ScoreSettings)}
     for key, value in written.items():
         if key not in accepted:
@@ -109,10 +109,8 @@ def _check_type(path: Path, key: str, value: Any, annotation: str) -> None:
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        content = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise BenchError(f"{path} can't be read: {' '.join(str(error).split())}. Repair it, or delete it.") from error
+    with reading(path, "can't be read", "Repair it, or delete it."):
+        content = parse_yaml(read_plain_text(path, _MOST_BYTES))
     if content is None:
         return {}
     if not isinstance(content, dict):

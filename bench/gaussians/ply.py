@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import os
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from plyfile import PlyData, PlyElement, PlyParseError
+from plyfile import PlyData, PlyElement
 
 from bench.errors import BenchError
 from bench.gaussians.schema import (
@@ -22,6 +25,10 @@ from bench.gaussians.schema import (
     degree_of,
     planes_of,
 )
+from bench.io.foreign import open_plain, reading
+
+_MOST_HEADER = 65536
+"""Bytes; a map with harmonics of degree 3 has 1,500."""
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -79,11 +86,23 @@ def _file_order(names: tuple[str, ...]) -> list[str]:
 
 def _vertices(path: Path) -> np.ndarray:
     """The table of vertices, (N,) with named columns."""
-    if not path.is_file():
+    if not path.exists():
         raise BenchError(f"There is no map {path}.")
-    try:
-        return np.asarray(PlyData.read(str(path))["vertex"].data)
-    except KeyError as error:
-        raise BenchError(f"{path} is no 3DGS map: it has no element 'vertex'.") from error
-    except (PlyParseError, ValueError, MemoryError, OverflowError) as error:
-        raise BenchError(f"{path} is no PLY file, or damaged: {error}. Copy or make the map again.") from error
+    with reading(path, "is no PLY file, or damaged", "Copy or make the map again."):
+        _require_rows(path)
+        ply = PlyData.read(str(path))
+        if "vertex" not in ply:
+            raise BenchError(f"{path} is no 3DGS map: it has no element 'vertex'.")
+        return np.asarray(ply["vertex"].data)
+
+
+def _require_rows(path: Path) -> None:
+    """Raise ``ValueError`` for a header that is no PLY's, or says of more rows than the file can have bytes for."""
+    with open_plain(path, math.inf) as file:
+        header, end, _ = file.read(_MOST_HEADER).partition(b"end_header")
+        size = file.seek(0, os.SEEK_END)
+    if not (header.startswith(b"ply") and end):
+        raise ValueError("it has no header of PLY")
+    for count in re.findall(rb"^element\s+\S+\s+(\S+)", header, re.MULTILINE):
+        if len(count) > 18 or int(count) > size:
+            raise ValueError(f"its header says of {count[:30].decode(errors='replace')} rows, and it has {size} bytes")

@@ -7,11 +7,13 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import BinaryIO
 
 import cv2
 import numpy as np
 
 from bench.errors import BenchError
+from bench.io.foreign import open_plain, read_plain, reading
 from bench.types import Image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -39,17 +41,22 @@ def describe_files(files: Sequence[Path]) -> str:
     return f"{shown}, the first {min(file.name for file in files)}" if shown else "no file"
 
 
+_MOST_PIXELS = 200_000_000
+"""Of no camera; decoding takes a few bytes for each."""
+_MOST_BYTES = 1e9
+
+
 def image_size(path: Path) -> tuple[int, int]:
     """Width and height in pixels of a PNG or JPEG file, from its header, without decoding.
 
     Raises ``BenchError`` if the file is missing, is no such image, or is cut off before its end marker.
     """
     try:
-        with path.open("rb") as file:
+        with open_plain(path, _MOST_BYTES) as file:
             start = file.read(32)
             size = _png_size(path, start) if start.startswith(_PNG_START) else None
             if size is None and start.startswith(_JPEG_START):
-                size = _jpeg_size(path)
+                size = _jpeg_size(path, file)
             file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL_BYTES))
             tail = file.read()
     except FileNotFoundError:
@@ -60,6 +67,8 @@ def image_size(path: Path) -> tuple[int, int]:
         raise BenchError(f"{path} is not a PNG or JPEG image. Replace it by one.")
     if (_PNG_END if start.startswith(_PNG_START) else _JPEG_END) not in tail:
         raise BenchError(f"The image {path} is truncated (its end marker is absent). Copy or download it again.")
+    if not 0 < size[0] * size[1] <= _MOST_PIXELS:
+        raise BenchError(f"The image {path} says that it is {size[0]}x{size[1]} pixels. Copy or download it again.")
     return size
 
 
@@ -69,20 +78,19 @@ def _png_size(path: Path, start: bytes) -> tuple[int, int]:
     return int.from_bytes(start[16:20], "big"), int.from_bytes(start[20:24], "big")
 
 
-def _jpeg_size(path: Path) -> tuple[int, int]:
-    with path.open("rb") as file:
-        file.seek(2)
-        while True:
-            marker = file.read(2)
-            while len(marker) == 2 and marker[0] == 0xFF and marker[1] == 0xFF:
-                marker = marker[1:] + file.read(1)
-            length = file.read(2)
-            if len(marker) < 2 or len(length) < 2 or marker[0] != 0xFF:
-                raise BenchError(f"The image {path} is truncated (its JPEG header is incomplete). Copy it again.")
-            if marker[1] in _JPEG_SIZE_MARKERS:
-                body = file.read(5)
-                return int.from_bytes(body[3:5], "big"), int.from_bytes(body[1:3], "big")
-            file.seek(int.from_bytes(length, "big") - 2, os.SEEK_CUR)
+def _jpeg_size(path: Path, file: BinaryIO) -> tuple[int, int]:
+    file.seek(2)
+    while True:
+        marker = file.read(2)
+        while marker == b"\xff\xff":
+            marker = marker[1:] + file.read(1)
+        length = file.read(2)
+        if len(marker) < 2 or len(length) < 2 or marker[0] != 0xFF:
+            raise BenchError(f"The image {path} is truncated (its JPEG header is incomplete). Copy it again.")
+        if marker[1] in _JPEG_SIZE_MARKERS:
+            body = file.read(5)
+            return int.from_bytes(body[3:5], "big"), int.from_bytes(body[1:3], "big")
+        file.seek(int.from_bytes(length, "big") - 2, os.SEEK_CUR)
 
 
 def require_one_size(paths: Iterable[Path]) -> tuple[int, int]:
@@ -173,13 +181,11 @@ def read_rgb(path: Path, size: tuple[int, int], bits: int = _FULL_BITS) -> Image
     ``size`` is the (width, height) that the sequence promises; of a 16-bit PNG the upper 8 of its low ``bits`` count.
     Alpha is left out, EXIF's orientation is not applied. Raises ``BenchError`` on damage and on another size.
     """
-    # File bytes are read here and not by OpenCV, which prints its own warnings about files that it can't open.
-    try:
-        data = np.fromfile(path, dtype=np.uint8)
-    except OSError as error:
-        raise BenchError(f"The image {path} can't be read: {error.strerror}. Restore the file.") from None
+    image_size(path)
     flags = _AS_STORED if bits == _FULL_BITS else _AS_STORED | cv2.IMREAD_ANYDEPTH
-    image = cv2.imdecode(data, flags) if data.size else None
+    with reading(path, "can't be read as an image", "Copy or download it again."):
+        # File bytes are read here and not by OpenCV, which prints its own warnings about files that it can't open.
+        image = cv2.imdecode(np.frombuffer(read_plain(path, _MOST_BYTES), np.uint8), flags)
     if image is None:
         raise BenchError(f"The image {path} is damaged and can't be decoded. Copy or download it again.")
     if (image.shape[1], image.shape[0]) != size:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import OmegaConf
-from yaml import YAMLError  # type: ignore[import-untyped]  # comes with omegaconf, which raises it
 
 from bench.errors import BenchError
 from bench.io.atomic import write_text
+from bench.io.foreign import read_plain_text, reading
 from bench.runs.config_text import parse_config
 
 CONFIG_FILE = "config.yaml"
@@ -19,6 +19,8 @@ RUNS_FOLDER = Path("results/runs")
 """Where run folders are made, and looked for, unless the user says otherwise; relative to the current folder."""
 _HASH_LINE = "# bgs-bench run, config hash "
 _MISSING = object()
+_MOST_BYTES = 4_000_000
+"""A config with the settings of all plugins has a few thousand."""
 NO_PART_OF_THE_RUN = ("output", "rerun", "resume", "checkpoint_s", "limits", "plugins", "pipeline", "threads", "cache")
 """Settings that can't change a result: where a run lies and how it was started."""
 
@@ -42,16 +44,13 @@ def read_shared_config(folder: Path) -> tuple[dict[str, Any], str] | None:
     path = folder / CONFIG_FILE
     if not path.is_file():
         return None
-    try:
-        text = path.read_text()
+    with reading(path, "can't be read", "Delete the run folder and run again."):
+        text = read_plain_text(path, _MOST_BYTES)
         first = text.partition("\n")[0]
         if not first.startswith(_HASH_LINE):
             return None
         config = parse_config(text)
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise BenchError(f"{path} can't be read: {reason}. Delete the run folder and run again.") from error
-    if not config:
+    if not config or not all(isinstance(key, str) for key in config):
         raise BenchError(f"{path} holds no settings. Delete the run folder and run again.")
     return config, first.removeprefix(_HASH_LINE).strip()
 

@@ -6,14 +6,12 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
-import yaml  # type: ignore[import-untyped]  # comes with omegaconf
-
-# libyaml's parser, where PyYAML was built with it, is ten times as fast.
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+from bench.io.yaml_files import parse_yaml
 
 
 def parse_config(text: str) -> dict[str, Any]:
-    """The settings in the text of a resolved config, as the bench writes it; raises ``yaml.YAMLError`` for other text.
+    """The settings in the text of a resolved config, as the bench writes it; raises for other text what
+    ``parse_yaml`` raises.
 
     What lies below a top-level key is shared between calls and must not be changed.
     """
@@ -39,4 +37,4 @@ def _top_level_blocks(text: str) -> Iterator[str]:
 
 @lru_cache(maxsize=4096)
 def _parse(block: str) -> Any:
-    return yaml.load(block, Loader=_LOADER)
+    return parse_yaml(block)

@@ -8,9 +8,11 @@ import logging
 from collections.abc import Sequence
 from math import inf
 from pathlib import Path
+from typing import Any
 
 from bench.errors import BenchError
 from bench.io.atomic import write_text
+from bench.io.foreign import read_plain_text, reading
 from bench.types import Event
 
 EVENTS_FILE = "events.jsonl"
@@ -81,10 +83,15 @@ def read_events(folder: Path) -> list[Event]:
     path = folder / EVENTS_FILE
     if not path.is_file():
         return []
-    try:
-        return [Event(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
-    except (OSError, ValueError, TypeError) as error:
-        raise BenchError(f"{path} is damaged ({error}); delete it and run again.") from error
+    with reading(path, "is damaged", "Delete it and run again."):
+        return [_event(json.loads(line)) for line in read_plain_text(path).splitlines()]
+
+
+def _event(content: Any) -> Event:
+    event = Event(**content)
+    if not (isinstance(event.kind, str) and isinstance(event.frame, int) and isinstance(event.values, dict)):
+        raise TypeError(f"{str(content)[:80]} is no event")
+    return event
 
 
 def _as_line(event: Event) -> str:

@@ -74,7 +74,8 @@ def map_size(resources: Mapping[str, Any]) -> dict[str, Any]:
 
     Runs that say nothing of it are of Gaussian maps.
     """
-    return {name: resources.get(name) for name in resources.get("size", ("gaussians",))}
+    named = resources.get("size", ("gaussians",))
+    return {name: resources.get(name) for name in named if isinstance(name, str)}
 
 
 def picture_path(folder: Path, view: View, what: Literal["color", "depth"], number: int) -> Path:

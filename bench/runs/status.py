@@ -12,8 +12,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from bench.errors import BenchError, require_choice
+from bench.errors import BenchError, first_line, require_choice
 from bench.io.atomic import write_json
+from bench.io.json_files import load_json
 
 RunState = Literal["running", "done", "failed", "out_of_memory", "interrupted"]
 STATES: tuple[str, ...] = get_args(RunState)
@@ -21,6 +22,8 @@ STATUS_FILE = "status.json"
 SCORING = "scoring"
 # What file systems give to the smallest file.
 _BLOCK = 4096
+# Frames, process ids and clock ticks are far below.
+_MOST = 2**53
 
 
 @dataclass(frozen=True)
@@ -141,19 +144,46 @@ def read_status(folder: Path) -> RunStatus | None:
         return None
     content = read_json(path)
     known = {name: content[name] for name in RunStatus.__dataclass_fields__ if content.get(name) is not None}
+    for name, value in known.items():
+        if not _fits(name, value):
+            raise BenchError(f"{path}: {name} is {str(value)[:40]!r}, and no {name}; delete the file and run again.")
     if known.get("state") not in STATES:
         raise BenchError(f"{path} names no known state (one of {', '.join(STATES)}); delete the file and run again.")
     return RunStatus(**known)
 
 
+def _fits(name: str, value: Any) -> bool:
+    """Whether a value is of the kind that this field of ``status.json`` has, as its default says."""
+    default = RunStatus.__dataclass_fields__[name].default
+    if isinstance(default, tuple):
+        fits = _is_stretch if name == "lost_stretches" else _is_text
+        return isinstance(value, list) and all(map(fits, value))
+    return _is_count(value) if default is None or isinstance(default, int) else _is_text(value)
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < _MOST
+
+
+def _is_stretch(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_is_count, value))
+
+
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object; raises ``BenchError`` naming the file (and line) when it is missing or damaged."""
+    """Read a JSON object that the bench wrote; raises ``BenchError`` naming the file (and line) when it is missing,
+    damaged, or holds what no run does. NaN and infinity become None, as in what ``write_json`` writes."""
     try:
-        content = json.loads(path.read_text())
+        content = load_json(path, constant=lambda _: None)
     except json.JSONDecodeError as error:
         raise BenchError(f"{path} is damaged (line {error.lineno}: {error.msg}); delete it and run again.") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise BenchError(f"Can't read {path}: {error}. Check the file and its permissions.") from error
+    except (ValueError, RecursionError) as error:
+        raise BenchError(f"{path} is damaged ({first_line(error)}); delete it and run again.") from error
     if not isinstance(content, dict):
         raise BenchError(
             f"{path} should hold a JSON object and holds a {type(content).__name__}; delete it and run again."

@@ -9,6 +9,7 @@ import pandas as pd
 
 from bench.errors import BenchError
 from bench.io.csv_files import read_csv
+from bench.io.foreign import reading
 from bench.types import Trajectory
 
 _POSE_COLUMNS = [f"T_{row}{column}" for row in range(3) for column in range(4)]
@@ -25,12 +26,12 @@ def as_csv(trajectory: Trajectory) -> str:
 def read_trajectory_csv(path: Path) -> Trajectory:
     """Read what ``as_csv`` made; raises ``BenchError`` for a missing or damaged file."""
     table = read_csv(path, ["number", "timestamp", *_POSE_COLUMNS])
-    try:
+    with reading(path, "can't be read as numbers", "Run again with rerun=true."):
         numbers = table["number"].to_numpy(dtype=np.int64)
         timestamps = table["timestamp"].to_numpy(dtype=np.float64)
         rows = table[_POSE_COLUMNS].to_numpy(dtype=np.float64)
-    except (ValueError, TypeError) as error:
-        raise BenchError(f"{path} holds something that is no number ({error}); run again with rerun=true.") from error
+    if not (np.isfinite(timestamps).all() and np.isfinite(rows).all()):
+        raise BenchError(f"{path} holds a number that is not finite; run again with rerun=true.")
     if len(np.unique(numbers)) != len(numbers):
         raise BenchError(f"{path} has more than one pose for the same frame; run again with rerun=true.")
     T_world_cam = np.tile(np.eye(4), (len(table), 1, 1))

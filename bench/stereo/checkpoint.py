@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from bench.errors import BenchError
+from bench.io.torch_files import load_tensors
 from bench.weights.no_weights import what_it_is
 
 # Under which key training scripts save the network's tensors, beside the epoch, the optimizer and the like.
@@ -27,10 +28,12 @@ def load_state(path: Path) -> dict[str, torch.Tensor]:
     Nothing but tensors and plain data is unpickled. Raises ``BenchError`` for a file that is missing, damaged, holds a
     pickled network (reading it would run its code), or holds no tensors.
     """
-    if not path.is_file():
+    if not path.exists():
         raise BenchError(f"The checkpoint {path} does not exist. Correct the path, or leave stereo.weights out.")
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        content = load_tensors(path)
+    except BenchError:
+        raise
     # The unpickler raises whatever the damage leads to; all of it means the same to the user.
     except Exception as error:
         foreign = re.search(r"[Uu]nsupported (?:global: GLOBAL|class) ([\w.]+)", str(error))

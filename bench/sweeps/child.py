@@ -54,8 +54,9 @@ class Child:
         try:
             with open(self._log, "wb") as log:
                 # A group of its own: a Ctrl-C in the terminal reaches the sweep alone, which then ends its runs.
+                # -P: no numpy.py that happens to lie in the current folder is taken for the module.
                 self._process = subprocess.Popen(
-                    [sys.executable, *job.arguments],
+                    [sys.executable, "-P", *job.arguments],
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,

@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.errors import BenchError
+from bench.plain_text import plain_line
 from bench.runs.status import read_status
 from bench.sweeps.job import Job, Outcome
 from bench.sweeps.lookup import Found
@@ -177,7 +178,7 @@ class SweepView:
             frames = f"frame {shown.frames_done}/{shown.frames}, " if shown.frames else ""
             stage = f"{shown.stage}, " if shown.stage not in ("", "mapping") else ""
             text = f"  {duration(now - shown.since)}: {frames}{stage}{shown.planned.label}{_at(shown.who)}"
-            parts.append(Text(text, no_wrap=True, overflow="ellipsis"))
+            parts.append(Text(plain_line(text), no_wrap=True, overflow="ellipsis"))
         return Group(*parts)
 
     def _cells(self) -> Table:
@@ -190,14 +191,14 @@ class SweepView:
         table = Table(box=None, padding=(0, 2, 0, 0), show_header=any(columns))
         table.add_column("")
         for column in columns:
-            table.add_column(column)
+            table.add_column(Text(column))
         for row, cells in by_row.items():
-            table.add_row(row, *(_cell(cells.get(column, [])) for column in columns))
+            table.add_row(Text(row), *(_cell(cells.get(column, [])) for column in columns))
         return table
 
     def _say(self, text: str, style: str | None = None) -> None:
         width = len(str(self._to_make))
-        counted = f"[{self._told:{width}}/{self._to_make}] {text}"
+        counted = plain_line(f"[{self._told:{width}}/{self._to_make}] {text}")
         # As a Text: print's own style would also colour the live table.
         self.console.print(Text(counted, style=style or ""), soft_wrap=True)
 

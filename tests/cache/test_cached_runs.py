@@ -125,7 +125,7 @@ def test_a_damaged_entry_is_replaced(tmp_path: Path, caplog: pytest.LogCaptureFi
     depths = [source(tmp_path, folder).depth(dataset.frame(0), 0, dataset.camera).depth]
     (path,) = folder.glob("stereo/*/*/*.entry")
     whole = path.read_bytes()
-    path.write_bytes(whole[:500] + b"\0" + whole[501:])
+    path.write_bytes(whole[:500] + bytes([whole[500] ^ 1]) + whole[501:])
     with caplog.at_level(logging.WARNING):
         depths.append(source(tmp_path, folder).depth(dataset.frame(0), 0, dataset.camera).depth)
     assert "is damaged" in caplog.text

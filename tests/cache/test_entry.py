@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 
 import numpy as np
 import pytest
 
-from bench.cache.entry import DamagedEntryError, Stored, decode, encode
+from bench.cache.entry import DamagedEntryError, Stored, decode, encode, seal
+from bench.cache.recording import Recording
 
 
 def test_every_bit_of_a_depth_map_comes_back() -> None:
@@ -66,6 +68,27 @@ def test_any_changed_byte_and_any_cut_is_seen() -> None:
 def test_the_format_is_what_it_says() -> None:
     """Read by hand: a line with the checksum, a line of JSON, the plain little-endian floats."""
     first, header, payload = encode(Stored(np.full((2, 2), 1.5, np.float32), 0.25, "a")).split(b"\n", 2)
-    assert first == f"bgs-cache 1 {zlib.crc32(header + bytes([10]) + payload):08x}".encode()
+    assert first == f"bgs-cache 2 {hashlib.sha256(header + bytes([10]) + payload).hexdigest()}".encode()
     assert header == b'{"dtype": "float32", "shape": [2, 2], "seconds": 0.25, "source": "a"}'
     assert payload == bytes.fromhex("0000c03f") * 4
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"no line",
+        b"[]\n",
+        b'{"dtype": "float32", "shape": [2, 2], "seconds": 0, "source": ""}\nshort',
+        b'{"dtype": "float32", "shape": [-1, 4], "seconds": 0, "source": ""}\n' + bytes(16),
+        b'{"dtype": "float32", "shape": [99999999999, 9], "seconds": 0, "source": ""}\n' + bytes(16),
+        b'{"dtype": "bool", "shape": [3, 3], "seconds": 0, "source": ""}\n' + zlib.compress(bytes(10**6))[:-9],
+        b'{"dtype": "bool", "shape": [9999999, 9999999], "seconds": 0, "source": ""}\n' + zlib.compress(bytes(9)),
+        b'{"dtype": "float32", "shape": [1, 1], "seconds": {}, "source": ""}\n' + bytes(4),
+    ],
+)
+def test_what_is_whole_and_no_answer_is_refused(body: bytes) -> None:
+    with pytest.raises(DamagedEntryError, match="no depth map or mask"):
+        decode(seal(body))
+    with pytest.raises(DamagedEntryError, match="no recording"):
+        Recording.decode(seal(body))

@@ -92,3 +92,31 @@ def test_a_damaged_entry_is_missing_and_logged(tmp_path: Path, caplog: pytest.Lo
     assert f"{path} is damaged (its checksum is wrong); computing it again" in caplog.text
     store.write("stereo", "net", key(1), MAP)
     assert store.read("stereo", "net", key(1)) is not None
+
+
+@pytest.mark.parametrize("what", ["folder", "pipe", "old", "empty"])
+def test_whatever_is_in_the_place_of_an_entry_is_computed_again(tmp_path: Path, what: str) -> None:
+    store = CacheStore(tmp_path, limit=1e9)
+    store.write("stereo", "net", key(1), MAP)
+    (path,) = tmp_path.glob("*/*/*/*.entry")
+    path.unlink()
+    if what == "folder":
+        path.mkdir()
+    elif what == "pipe":
+        os.mkfifo(path)
+    else:
+        path.write_bytes(b"bgs-cache 1 00000000\n{}\n" if what == "old" else b"")
+    assert store.read("stereo", "net", key(1)) is None
+
+
+def test_a_folder_that_others_can_write_into_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    ours, theirs = tmp_path / "ours", tmp_path / "theirs"
+    for folder, mode in ((ours, 0o755), (theirs, 0o777)):
+        folder.mkdir()
+        folder.chmod(mode)
+    with caplog.at_level(logging.WARNING):
+        for folder in (ours, theirs, theirs, tmp_path / "not there yet"):
+            CacheStore(folder, limit=1e9)
+    assert [record.getMessage().partition(",")[0] for record in caplog.records] == [
+        f"cache: other users can write into {theirs}"
+    ]

@@ -168,7 +168,7 @@ def test_the_table_of_runs_reads_records_too(runs: Path, tmp_path: Path, capsys:
         (None, r"Can't read .*x\.runs\.json"),
         ("{", r"x\.runs\.json is damaged \(line 1"),
         ("{}", r"x\.runs\.json is no record of runs"),
-        ('{"format": "bgs-bench runs 1"}', r"x\.runs\.json is damaged \('views'\); restore it"),
+        ('{"format": "bgs-bench runs 1"}', r"x\.runs\.json is damaged: KeyError: 'views'\. Restore it"),
     ],
 )
 def test_damaged_records_are_named(content: str | None, message: str, tmp_path: Path) -> None:

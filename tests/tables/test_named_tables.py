@@ -6,6 +6,7 @@ import csv
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 from fake_runs import ALL_TERMS, FRAMES, config, make_mixed_runs, make_run, metrics
@@ -237,7 +238,7 @@ def test_links_lead_to_the_runs(mixed: Path, tmp_path: Path) -> None:
     in_html = [(seed, link) for link, seed in re.findall(r'<a href="(.+?)">([\d:]+)</a>', table.text("html", folder))]
     in_html = [(seed, link.replace("&amp;", "&")) for seed, link in in_html]
     assert in_markdown == in_html
-    targets = {(seed, (folder / link).resolve()) for seed, link in in_markdown}
+    targets = {(seed, (folder / unquote(link)).resolve()) for seed, link in in_markdown}
     assert targets == {("03:0", mixed / "a_0"), ("03:1", mixed / "a_1"), ("05:0", mixed / "b"), ("06:0", mixed / "c")}
 
 

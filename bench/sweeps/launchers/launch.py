@@ -21,6 +21,7 @@ from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf, open_dict
 
 from bench.errors import BenchError
+from bench.plain_text import plain_line
 from bench.sweeps.launchers.config import ComposedLauncher, compose_launcher
 from bench.sweeps.launchers.exchange import Exchange, Note
 from bench.sweeps.launchers.worker import RunTask
@@ -100,7 +101,7 @@ def _pass_on(exchange: Exchange, number: int, returned: JobReturn) -> None:
 
 
 def _in_a_line(error: BaseException) -> str:
-    text = " ".join(str(error).split())
+    text = plain_line(str(error))
     return text if isinstance(error, BenchError) else f"{type(error).__name__}: {text[:500]}"
 
 

@@ -174,7 +174,9 @@ class _Launch:
             with open(self._log, "wb") as log:
                 # A group of its own, because of Ctrl-C, as for runs. It ends when its standard input does.
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", "bench.sweeps.launchers.launch", str(folder)],
+                    [sys.executable, "-P", "-m", "bench.sweeps.launchers.launch", str(folder)],
+                    # For the workers that it starts in its turn: as -P, no module from the current folder.
+                    env=os.environ | {"PYTHONSAFEPATH": "1"},
                     stdin=subprocess.PIPE,
                     stdout=log,
                     stderr=subprocess.STDOUT,

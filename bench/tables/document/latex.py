@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from bench.tables.document.latex_text import latex_text
 from bench.tables.document.model import Cell, Column, Document
 
@@ -26,7 +28,7 @@ def as_latex(document: Document) -> str:
         r"\begin{table*}[p]",
         r"\centering",
         rf"\caption{{\textbf{{{latex_text(document.title)}.}} {latex_text(first)}}}",
-        rf"\label{{tab:{document.name}}}",
+        rf"\label{{tab:{re.sub(r'[^A-Za-z0-9_.-]', '-', document.name)}}}",
         r"\par\medskip",
         r"\sbox0{\small\setlength{\tabcolsep}{4pt}%",
         *_tabular(document, "%"),
@@ -67,7 +69,9 @@ def _below(column: Column) -> str:
 
 
 def _row(cells: list[str]) -> str:
-    return " & ".join(cells) + r" \\"
+    # After the end of a row, LaTeX takes a bracket or a star for an option of it.
+    guard = "{}" if cells and cells[0].startswith(("[", "*")) else ""
+    return guard + " & ".join(cells) + r" \\"
 
 
 def _cell(cell: Cell, quiet: bool) -> str:

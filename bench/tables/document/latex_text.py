@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import unicodedata
 
-from bench.tables.document.model import on_one_line
+from bench.plain_text import plain_line
 
 _SIGNS = {
     "\\": r"\textbackslash{}",
@@ -37,11 +37,12 @@ _SIGNS = {
 
 def latex_text(text: str) -> str:
     """``text`` as LaTeX prints it in any encoding; letters lose their accents, other unknown signs become "?"."""
-    return "".join(_SIGNS.get(sign) or _ascii(sign) for sign in on_one_line(text))
+    return "".join(_sign(sign) for sign in plain_line(text))
 
 
-def _ascii(sign: str) -> str:
-    if sign.isascii():
-        return sign
-    plain = "".join(part for part in unicodedata.normalize("NFKD", sign) if part.isascii())
+def _sign(sign: str) -> str:
+    if sign.isascii() or sign in _SIGNS:
+        return _SIGNS.get(sign, sign)
+    # What it is made of may have a meaning too: a full-width dollar is a dollar.
+    plain = "".join(_SIGNS.get(part, part) for part in unicodedata.normalize("NFKD", sign) if part.isascii())
     return plain or "?"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.tables.document.model import UNKNOWN, Cell, Column, Document, on_one_line
+from bench.plain_text import plain_line
+from bench.tables.document.model import UNKNOWN, Cell, Column, Document
 
 # Signs that mean something in Markdown or in the HTML that it may hold.
-_ESCAPED = str.maketrans({"\\": "\\\\", "|": "\\|", "_": "\\_", "*": "\\*", "`": "\\`", "&": "&amp;", "<": "&lt;"})
+_ESCAPED = str.maketrans({**{sign: f"\\{sign}" for sign in "\\|_*`~"}, "&": "&amp;", "<": "&lt;"})
 
 
 def as_markdown(document: Document) -> str:
@@ -21,7 +23,7 @@ def as_markdown(document: Document) -> str:
         for line in block:
             cells = [_cell(cell, line.kind == "quiet") for cell in line.cells]
             lines.append(row([*map(escaped, line.names), *cells]))
-    notes = [f"- {escaped(note)}" for note in document.notes]
+    notes = [_note(note) for note in document.notes]
     notes += [f"- Runs of {escaped(of)}: {_links(document, runs)}" for of, runs in document.links]
     return "\n".join([*lines, *([""] if notes else []), *notes]) + "\n"
 
@@ -33,7 +35,13 @@ def row(cells: Sequence[str]) -> str:
 
 def escaped(text: str) -> str:
     """Markdown that shows ``text``, also in a cell."""
-    return on_one_line(text).translate(_ESCAPED).replace("](", "]\\(")
+    return plain_line(text).translate(_ESCAPED).replace("](", "]\\(").replace("]:", "]\\:")
+
+
+def _note(text: str) -> str:
+    """A note as an item of a list, which begins no heading, quotation, list or task of its own."""
+    inside = escaped(text.lstrip())
+    return "- " + re.sub(r"^(\d*)(?=[#>+-]|(?<=\d)[.)]|\[[ xX]\])", r"\1\\", inside)
 
 
 def _head(column: Column) -> str:
@@ -49,8 +57,4 @@ def _cell(cell: Cell, quiet: bool) -> str:
 
 
 def _links(document: Document, runs: Sequence[tuple[str, Path]]) -> str:
-    return " ".join(f"[{escaped(name)}](<{_target(document.link(place))}>)" for name, place in runs)
-
-
-def _target(link: str) -> str:
-    return link.replace("|", "%7C").replace("<", "%3C").replace(">", "%3E")
+    return " ".join(f"[{escaped(name)}](<{document.link(place)}>)" for name, place in runs)

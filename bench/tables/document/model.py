@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
+from urllib.parse import quote
 
 UNKNOWN = "-"
 """The text of a cell whose value is not known."""
@@ -82,15 +83,13 @@ class Document:
     """Where the runs are, below the notes: what each line is of, and of each of its runs the name and the place."""
 
     def link(self, path: Path) -> str:
-        """A path as seen from the document, with forward slashes."""
-        return relative(path, self.folder)
+        """The address of a path as seen from the document, with forward slashes and percent-encoded, so that no name of
+        a folder can be anything else (``javascript:...``). A record's line (``#L9``) stays one."""
+        place, mark, line = relative(path, self.folder).rpartition("#L")
+        place, line = (place, f"{mark}{line}") if mark and line.isdecimal() else (f"{place}{mark}{line}", "")
+        return quote(place, safe="/~+=@,", errors="surrogateescape") + line
 
 
 def relative(path: Path, folder: Path) -> str:
     """``path`` relative to ``folder``, with forward slashes."""
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
-
-
-def on_one_line(text: str) -> str:
-    """``text`` without line breaks, which end a row in some formats."""
-    return " ".join(text.split()) if "\n" in text or "\r" in text else text

@@ -6,6 +6,7 @@ import html
 from collections.abc import Sequence
 from pathlib import Path
 
+from bench.plain_text import plain_line
 from bench.tables.document.model import Cell, Column, Document, Row
 
 _STYLE = (
@@ -28,15 +29,15 @@ _STYLE = (
 
 def as_html(document: Document) -> str:
     """The page, with links to the runs below its notes."""
-    title = html.escape(document.title or document.name)
+    title = _text(document.title or document.name)
     heads = [_head(column) for column in (*document.left, *document.columns)]
     rows = ["<thead><tr>", *heads, "</tr></thead>"]
     for block in document.blocks:
         rows.append("<tbody>")
         rows += [_row(document, row, _reach(block[number:])) for number, row in enumerate(block)]
         rows.append("</tbody>")
-    notes = "".join(f"<li>{html.escape(note)}</li>\n" for note in document.notes)
-    notes += "".join(f"<li>Runs of {html.escape(of)}: {_links(document, runs)}</li>\n" for of, runs in document.links)
+    notes = "".join(f"<li>{_text(note)}</li>\n" for note in document.notes)
+    notes += "".join(f"<li>Runs of {_text(of)}: {_links(document, runs)}</li>\n" for of, runs in document.links)
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{_STYLE}</style></head>\n'
@@ -46,9 +47,13 @@ def as_html(document: Document) -> str:
     )
 
 
+def _text(text: str) -> str:
+    return html.escape(plain_line(text))
+
+
 def _head(column: Column) -> str:
-    lower = f"<small>{html.escape(column.below)}</small>" if column.below else ""
-    return f'<th scope="col"{_class(column)}>{html.escape(column.title)}{lower}</th>'
+    lower = f"<small>{_text(column.below)}</small>" if column.below else ""
+    return f'<th scope="col"{_class(column)}>{_text(column.title)}{lower}</th>'
 
 
 def _reach(rows: Sequence[Row]) -> int:
@@ -59,8 +64,8 @@ def _reach(rows: Sequence[Row]) -> int:
 
 def _row(document: Document, row: Row, reach: int) -> str:
     first, *others = row.names
-    name = f'<th scope="rowgroup" rowspan="{reach}">{html.escape(first)}</th>' if first else ""
-    name += "".join(f"<td>{html.escape(each)}</td>" for each in others)
+    name = f'<th scope="rowgroup" rowspan="{reach}">{_text(first)}</th>' if first else ""
+    name += "".join(f"<td>{_text(each)}</td>" for each in others)
     columns = zip(document.columns, row.cells, strict=True)
     cells = "".join(f"<td{_class(column)}>{_cell(cell)}</td>" for column, cell in columns)
     return f'<tr class="{row.kind}">{name}{cells}</tr>'
@@ -71,10 +76,10 @@ def _class(column: Column) -> str:
 
 
 def _cell(cell: Cell) -> str:
-    text = html.escape(cell.text)
+    text = _text(cell.text)
     return (f"<b>{text}</b>" if cell.best else text) + (f" <span>({cell.n})</span>" if cell.n else "") + cell.mark
 
 
 def _links(document: Document, runs: Sequence[tuple[str, Path]]) -> str:
     places = ((name, html.escape(document.link(place))) for name, place in runs)
-    return " ".join(f'<a href="{place}">{html.escape(name)}</a>' for name, place in places)
+    return " ".join(f'<a href="{place}">{_text(name)}</a>' for name, place in places)

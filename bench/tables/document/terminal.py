@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from bench.tables.document.model import Column, Document, on_one_line
+from bench.plain_text import plain_line
+from bench.report.terminal import say
+from bench.tables.document.model import Column, Document
 
 # Long names of methods are broken, so that the six sequences of a main table fit 160 columns.
 _NAME_WIDTH = 20
@@ -25,7 +26,7 @@ def print_document(document: Document, console: Console) -> None:
         wide = Console(file=console.file, width=_ANY_WIDTH, force_terminal=console.is_terminal)
         wide.print(_table(document, part))
     for note in document.notes:
-        console.print(on_one_line(note), markup=False, highlight=False, soft_wrap=True)
+        say(note, console)
 
 
 def _fitting(document: Document, columns: Sequence[int], console: Console) -> list[Sequence[int]]:
@@ -41,19 +42,21 @@ def _fitting(document: Document, columns: Sequence[int], console: Console) -> li
 def _table(document: Document, columns: Sequence[int]) -> Table:
     shown = [document.columns[column] for column in columns]
     has_heads = any(column.title for column in (*document.left, *shown))
-    table = Table(title=escape(document.title) or None, title_justify="left", show_header=has_heads)
+    table = Table(
+        title=Text(plain_line(document.title)) if document.title else None, title_justify="left", show_header=has_heads
+    )
     for column in (*document.left, *shown):
         max_width = _NAME_WIDTH if column.wraps else None
         table.add_column(_head(column), justify=column.align, max_width=max_width, no_wrap=not column.wraps)
     for block in document.blocks:
         for row in block:
             cells = [row.cells[column] for column in columns]
-            texts = [Text(cell.plain, style="bold" if cell.best else "") for cell in cells]
-            names = (Text(name) for name in row.names)
+            texts = [Text(plain_line(cell.plain), style="bold" if cell.best else "") for cell in cells]
+            names = (Text(plain_line(name)) for name in row.names)
             table.add_row(*names, *texts, style="dim italic" if row.kind == "quiet" else "")
         table.add_section()
     return table
 
 
 def _head(column: Column) -> Text:
-    return Text("\n".join(part for part in (column.title, column.below) if part))
+    return Text("\n".join(plain_line(part) for part in (column.title, column.below) if part))

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bench.errors import BenchError
+from bench.errors import BenchError, require_choice
+from bench.io.foreign import reading
 from bench.runs.status import read_json
-from bench.tables.records.record import RunRecord
+from bench.tables.records.record import VIEW_GROUPS, RunRecord, what_no_run_writes
 from bench.tables.records.shared import in_common, together, without
 
 SUFFIX = ".runs.json"
@@ -73,13 +74,12 @@ def read_record_file(path: Path, views: str | None = None) -> KeptRuns:
         raise BenchError(
             f"{path} is no record of runs ({_FORMAT!r}); write one with `bgs-bench table ... --out {path}`."
         )
-    try:
-        chosen = views or str(content["views"])
+    with reading(path, "is damaged", "Restore it, or make it again from the run folders."):
+        chosen = require_choice("views", views or content["views"], VIEW_GROUPS)
         common = {key: content["common"][key] for key in _SHARED}
         runs = [_record(entry, common, chosen, _line_of(path, place)) for place, entry in enumerate(content["runs"])]
-        return KeptRuns(content["table"], chosen, tuple(runs), content["others"], tuple(content["problems"]))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BenchError(f"{path} is damaged ({error}); restore it, or make it again from the run folders.") from error
+        others, problems = int(content["others"]), tuple(str(problem) for problem in content["problems"])
+        return KeptRuns(str(content["table"]), chosen, tuple(runs), others, problems)
 
 
 def _head(kept: KeptRuns) -> dict[str, Any]:
@@ -125,7 +125,7 @@ def _entry(run: RunRecord) -> dict[str, Any]:
 def _record(entry: dict[str, Any], common: dict[str, Any], views: str, source: Path) -> RunRecord:
     config, protocol, provenance = (together(common[key], entry[key]) for key in _SHARED)
     done, total = entry["frames"]
-    return RunRecord(
+    run = RunRecord(
         name=entry["name"],
         source=source,
         config=config,
@@ -139,3 +139,7 @@ def _record(entry: dict[str, Any], common: dict[str, Any], views: str, source: P
         provenance=provenance,
         views=views,
     )
+    wrong = what_no_run_writes(run)
+    if wrong:
+        raise ValueError(f"of the run in line {source.name.rpartition('L')[2]} {wrong}")
+    return run

@@ -15,7 +15,7 @@ from bench.runs.events import read_events
 from bench.runs.folder import FRAME_COLUMNS, FRAMES_FILE, METRICS_FILE, PROVENANCE_FILE, RESOURCES_FILE, map_size
 from bench.runs.status import read_json, read_status
 from bench.tables.records.portable import portable, portable_config, portable_text
-from bench.tables.records.record import RunRecord
+from bench.tables.records.record import RunRecord, what_no_run_writes
 
 T = TypeVar("T")
 
@@ -65,7 +65,8 @@ def read_provenance(folder: Path) -> dict[str, Any]:
     machine = written.get("machine")
     if isinstance(machine, Mapping):
         found["machine"] = {key: machine[key] for key in ("cpu", "usable_cores", "gpu") if key in machine}
-    loops = [[event.frame, event.values["to_frame"]] for event in read_events(folder) if event.kind == "loop_closed"]
+    closed = [event for event in read_events(folder) if event.kind == "loop_closed"]
+    loops = [[event.frame, event.values.get("to_frame")] for event in closed]
     if loops:
         found["loops_closed"] = loops
     return {key: portable(value) for key, value in found.items()}
@@ -78,7 +79,7 @@ def _read(folder: Path) -> RunRecord:
     config = _tried(lambda: read_shared_config(folder), None, damage)
     metrics: dict[str, Any] = _tried(lambda: _if_there(folder / METRICS_FILE), {}, damage)
     stamp = metrics.pop("protocol", {})
-    return RunRecord(
+    run = RunRecord(
         name=folder.resolve().name,
         source=folder,
         config=config[0] if config is not None else {},
@@ -91,6 +92,10 @@ def _read(folder: Path) -> RunRecord:
         protocol=stamp if isinstance(stamp, dict) else {},
         damage=tuple(damage),
     )
+    wrong = what_no_run_writes(run)
+    if not wrong:
+        return run
+    return replace(run, config={}, metrics={}, protocol={}, damage=(*damage, f"{folder}: {wrong}; run again."))
 
 
 def _tried(read: Callable[[], T], otherwise: T, damage: list[str]) -> T:

@@ -20,7 +20,7 @@ def made_in_words(runs: Sequence[RunRecord]) -> list[str]:
 def _commit(git: Any) -> str:
     if not isinstance(git, dict) or not git.get("commit"):
         return ""
-    return f"{git['commit'][:7]}{' with changes' if git.get('dirty') else ''}"
+    return f"{str(git['commit'])[:7]}{' with changes' if git.get('dirty') else ''}"
 
 
 def _machine(machine: Any) -> str:

@@ -85,7 +85,8 @@ class RunRecord:
     def own_metrics(self) -> tuple[Metric, ...]:
         """Metrics that no evaluator of the project declares: those of the user's evaluators, and sizes of the map."""
         known = {metric.key for metric in declared_metrics()}
-        sizes = [Metric(key, key.capitalize(), "", None, None, f"map.{key}", order=70) for key in self.part("map")]
+        named = [key for key in self.part("map") if key.isidentifier()]
+        sizes = [Metric(key, key.capitalize(), "", None, None, f"map.{key}", order=70) for key in named]
         return tuple(
             metric for metric in (*metrics_from(self.metrics.get(DECLARED)), *sizes) if metric.key not in known
         )
@@ -128,3 +129,21 @@ class RunRecord:
 def is_number(value: Any) -> bool:
     """Whether it is an int or a float, and no bool."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def what_no_run_writes(run: RunRecord) -> str:
+    """What in a record is of a type that tables could not work with, in words; empty where all is well."""
+    texts = {"name": run.name, "state": run.state, "reason": run.reason, "date": run.date}
+    wrong = [what for what, value in texts.items() if not isinstance(value, str)]
+    counts = {"frames_done": run.frames_done, "frames_total": run.frames_total}
+    wrong += [what for what, value in counts.items() if not isinstance(value, int) or isinstance(value, bool)]
+    parts = {"config": run.config, "metrics": run.metrics, "protocol": run.protocol, "provenance": run.provenance}
+    wrong += [what for what, value in parts.items() if not isinstance(value, Mapping) or not _has_names(value)]
+    return f"its {wrong[0]} is not what a run writes" if wrong else ""
+
+
+def _has_names(value: Any) -> bool:
+    """Whether all keys are text, at any depth: YAML has others."""
+    if isinstance(value, Mapping):
+        return all(isinstance(key, str) and _has_names(each) for key, each in value.items())
+    return all(map(_has_names, value)) if isinstance(value, (list, tuple)) else True
