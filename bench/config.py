@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import itertools
 import json
-import re
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,9 +16,8 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, RangeSweep
-from hydra.errors import ConfigCompositionException, HydraException, OverrideParseException
+from hydra.errors import ConfigCompositionException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]  # comes with omegaconf
@@ -30,6 +28,7 @@ from bench.discovery import load_plugins
 from bench.errors import BenchError, did_you_mean, first_line, require_choice
 from bench.hydra_settings import EXPERIMENT, SEARCH_PATH, config_folders, configs_in, require_known
 from bench.installed_data import config_folder
+from bench.override_text import as_one_value, hydra_lines, parse_lines, quoted
 from bench.plugin_config import plugin_config_from, plugins_in
 from bench.protocol import Protocol
 from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, PluginConfig
@@ -153,7 +152,7 @@ def register_schema() -> None:
 
 def compose_run(overrides: Sequence[str]) -> RunConfig:
     """Compose a run from command-line overrides (Hydra syntax); raises ``BenchError`` with the accepted names."""
-    parsed = check_overrides(with_home(overrides))
+    parsed = check_overrides(hydra_lines(overrides))
     with _hydra():
         try:
             composed = compose("config", [_hydra_line(override) for override in parsed])
@@ -173,7 +172,7 @@ def compose_run(overrides: Sequence[str]) -> RunConfig:
 def combinations(overrides: Sequence[str]) -> list[list[str]]:
     """The overrides of every combination of the values that ``-m`` would run; raises ``BenchError`` for wrong ones."""
     choices: list[list[str]] = []
-    for override in check_overrides(with_home(overrides)):
+    for override in check_overrides(hydra_lines(overrides)):
         line = override.input_line or ""
         if not override.is_sweep_override():
             choices.append([line])
@@ -199,11 +198,6 @@ def _values(override: Override) -> list[str]:
 def compose_sweep(overrides: Sequence[str]) -> list[RunConfig]:
     """Compose every combination that ``-m`` would run, so that a wrong value is known before the first run starts."""
     return [compose_run(cell) for cell in combinations(overrides)]
-
-
-def with_home(overrides: Sequence[str]) -> list[str]:
-    """Overrides with a value's ``~/`` replaced: shells leave it there after ``=``, and Hydra's syntax has no ``~``."""
-    return [re.sub(r"(?<=[=\[,])~(?=/)", str(Path.home()), override) for override in overrides]
 
 
 def resolved(composed: DictConfig) -> RunConfig:
@@ -252,17 +246,12 @@ def _check_root(values: Mapping[str, Any]) -> None:
 def check_overrides(overrides: Sequence[str]) -> list[Override]:
     """Parse overrides, load the plugins (the user's folders too), and check every choice of a group by name."""
     register_schema()
-    try:
-        parsed = OverridesParser.create().parse_overrides(list(overrides))
-    except OverrideParseException as error:
-        raise BenchError(
-            f"Can't read the override '{error.override}': {first_line(error)}. Write key=value, for example "
-            "stereo=sgbm; quote values with spaces or special characters."
-        ) from error
+    parsed = parse_lines(overrides)
     for override in parsed:
         require_known(override)
     folders = config_folders(parsed)
     load_plugins(plugin_folders(parsed))
+    parsed = [_as_typed(override) for override in parsed]
     for override in parsed:
         group = _group_of(override)
         if group is None or override.is_delete() or override.is_sweep_override():
@@ -281,6 +270,24 @@ def check_overrides(overrides: Sequence[str]) -> list[Override]:
                     _raise_unknown(kind, str(name), options)
                 require_choice(group, str(name), options)
     return parsed
+
+
+def _as_typed(override: Override) -> Override:
+    """A path that looks like a number (``output=2024_11``, which Hydra takes for 202411) is kept as it was typed."""
+    key, _, typed = (override.input_line or "").partition("=")
+    value = None if override.is_sweep_override() or override.is_delete() else override.value()
+    if not isinstance(value, int | float) or str(value) == typed or override.key_or_group not in _paths():
+        return override
+    return parse_lines([f"{key}={quoted(typed)}"])[0]
+
+
+def _paths() -> set[str]:
+    """The settings that are paths, as they are typed."""
+    configs = [(kind, registry.lookup(kind, name).config) for kind in RUN_KINDS for name in registry.names(kind)]
+    of_plugins = {
+        f"{kind}.{f.name}" for kind, config in configs for f in dataclasses.fields(config) if "path" in f.metadata
+    }
+    return {"output", "cache.folder", *of_plugins}
 
 
 def _group_of(override: Override) -> str | None:
@@ -339,7 +346,8 @@ def _explain(error: Exception, parsed: list[Override]) -> str:
     cause = error.__cause__ if isinstance(error, ConfigCompositionException) and error.__cause__ else error
     for override in parsed:
         if override.is_sweep_override():
-            return f"{override.input_line} names several values; add -m to run them all, or quote the value."
+            one = as_one_value(override.input_line or "")
+            return f"{override.input_line} names several values; add -m to run them all. One that has commas: {one}"
     choices = [o.input_line or "" for o in parsed if o.key_or_group == SEARCH_PATH]
     choices += [_hydra_line(o) for o in parsed if _group_of(o) not in (None, *registry.nested_groups)]
     try:

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from bench import registry
-from bench.config import check_overrides, compose_run, options_of, with_home
+from bench.config import check_overrides, compose_run, options_of
 from bench.errors import BenchError
 from bench.hydra_settings import EXPERIMENT, as_value
+from bench.override_text import hydra_lines
 from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE
 from bench.runs.config_file import read_config
 from bench.runs.system_name import external_name
@@ -28,7 +29,7 @@ def overrides_of(folder: Path, changes: Sequence[str]) -> list[str]:
     own, and for a plugin that is not there.
     """
     saved = _read(folder)
-    parsed = check_overrides(with_home(changes))
+    parsed = check_overrides(hydra_lines(changes))
     for change in parsed:
         if change.key_or_group == EXPERIMENT:
             raise BenchError(f"{change.input_line}: a run's config and an experiment's exclude each other. Give one.")

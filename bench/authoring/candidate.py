@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from bench import registry
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
-from bench.config import check_overrides, compose_run, with_home
+from bench.config import check_overrides, compose_run
 from bench.contracts.dataset import Dataset
 from bench.contracts.evaluator import Evaluator
 from bench.contracts.keyframer import Keyframer
@@ -19,6 +19,7 @@ from bench.contracts.stereo import DepthSource
 from bench.contracts.tracker import Tracker
 from bench.discovery import load_plugins
 from bench.errors import BenchError
+from bench.override_text import hydra_lines
 from bench.registry import KINDS, RUN_KINDS, SEVERAL_AT_ONCE
 
 CONTRACTS: dict[str, type] = {
@@ -47,7 +48,7 @@ def candidate_of(overrides: Sequence[str], folders: Sequence[str] = ()) -> Candi
     is named, or for what ``bgs-bench run`` would refuse too: an unknown name, a wrong setting.
     """
     load_plugins(folders)
-    given = with_home(overrides)
+    given = hydra_lines(overrides)
     parsed = check_overrides(given)
     named = [override for override in parsed if override.key_or_group in KINDS and not override.is_delete()]
     if not named:

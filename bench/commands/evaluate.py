@@ -8,12 +8,13 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.config import check_overrides, plugin_folders, with_home
+from bench.config import check_overrides, plugin_folders
 from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.rescore import copy_for
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.evaluation.saved_run import SavedRunFolder
+from bench.override_text import hydra_lines
 from bench.report.progress import scoring_progress
 from bench.report.terminal import say
 from bench.tables.collect import collect_row
@@ -58,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     chosen = [override for override in args.overrides if override.startswith("plugins=")]
     overrides = [override for override in args.overrides if override not in chosen]
     # Of the command line alone: code that the run folder names is a stranger's.
-    load_plugins([*args.plugins, *plugin_folders(check_overrides(with_home(chosen)))])
+    load_plugins([*args.plugins, *plugin_folders(check_overrides(hydra_lines(chosen)))])
     if args.out is not None and not overrides:
         raise BenchError("--out is for scores under other settings; say which, for example protocol=paper.")
     if overrides:

@@ -11,7 +11,8 @@ from typing import Any
 from rich.console import Console
 
 from bench.commands.hydra_flags import add_hydra_flags, given_overrides
-from bench.config import check_overrides, plugin_folders, with_home
+from bench.config import check_overrides, plugin_folders
+from bench.override_text import hydra_lines
 from bench.report.terminal import say
 from bench.runs.config_file import CONFIG_FILE
 from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
@@ -74,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     Raises ``BenchError`` for wrong input, before anything is run.
     """
     overrides, launcher = split_launcher(given_overrides(args), args.jobs)
-    folders = plugin_folders(check_overrides(with_home(overrides)))
+    folders = plugin_folders(check_overrides(hydra_lines(overrides)))
     table = named_table(args.table, folders)
     chosen, overrides = choose_rows(table, overrides)
     plan = make_plan(chosen, overrides, args.seeds or table.seeds)

@@ -17,6 +17,7 @@ from bench.evaluation.trajectory import ALIGNMENTS
 from bench.evaluation.trajectory_pair import FORMATS, read_pair
 from bench.external.score import score_folder
 from bench.external.settings import AXES, CONVENTIONS, NUMBERS, STATES
+from bench.override_text import quoted
 from bench.report.progress import scoring_progress
 from bench.report.terminal import say
 from bench.tables.collect import Column, Row, about_lost_frames, collect_row, static_camera_of
@@ -128,8 +129,7 @@ def _score_folder(folder: Path, overrides: list[str], args: argparse.Namespace) 
     overrides = [f"dataset={args.dataset}"] * (args.dataset is not None) + overrides
     overrides += [f"seed={args.seed}"] * (args.seed is not None)
     if args.output is not None:
-        quoted = str(args.output).replace("'", "\\'")
-        overrides.append(f"output='{quoted}'")
+        overrides.append(f"output={quoted(args.output)}")
     options = {name: getattr(args, name) for name in _FOLDER_ONLY}
     options |= {"trajectory": args.trajectory, "max_time_difference_s": args.max_time_difference}
     console = Console(stderr=args.json)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -44,8 +46,27 @@ def lock(file: int, wait: bool) -> bool:
     return True
 
 
+def has_locks(folder: Path) -> bool:
+    """Whether the file system of a folder, which must be there, has locks (some of the network have none).
+
+    Raises ``OSError`` where nothing can be written there.
+    """
+    with tempfile.TemporaryFile(dir=folder) as file:
+        try:
+            return lock(file.fileno(), wait=False)
+        except OSError as error:
+            if knows_no_locks(error):
+                return False
+            raise
+
+
+def knows_no_locks(error: OSError) -> bool:
+    """Whether this is what ``lock`` raises on a file system without locks."""
+    return error.errno in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
+
+
 def is_locked(path: Path) -> bool:
-    """Whether anybody holds the lock file; False where there is none."""
+    """Whether anybody holds the lock file; False where there is none, and on a file system without locks."""
     try:
         file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -54,6 +75,9 @@ def is_locked(path: Path) -> bool:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
+    except OSError as error:
+        if not knows_no_locks(error):
+            raise
     finally:
         os.close(file)
     return False

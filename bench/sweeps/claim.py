@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from bench.errors import BenchError
-from bench.io.file_lock import holder, is_locked, lock, open_lock, write_holder
+from bench.io.file_lock import holder, is_locked, knows_no_locks, lock, open_lock, write_holder
 
 SWEEP_FOLDER = ".sweep"
 """Beside the run folders: a lock and a log for each run that was started."""
@@ -24,7 +24,10 @@ class Claim:
 
     @classmethod
     def attempt(cls, run_folder: Path) -> Claim | None:
-        """Claim the run of this folder, or None where another process has; raises ``BenchError`` for no lock file."""
+        """Claim the run of this folder, or None where another process has; raises ``BenchError`` for no lock file.
+
+        On a file system without locks every claim is granted: the sweep has said so, and makes one run at a time.
+        """
         path = claim_path(run_folder, "lock")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -33,7 +36,7 @@ class Claim:
             raise BenchError(
                 f"Can't make {path}: {error.strerror}. Give output= a place that you may write to."
             ) from error
-        if not lock(fd, wait=False):
+        if not _locked(fd):
             os.close(fd)
             return None
         claim = cls(fd)
@@ -57,6 +60,15 @@ class Claim:
     def release(self) -> None:
         """Let go of it (a process that inherited it still holds it)."""
         os.close(self.fd)
+
+
+def _locked(fd: int) -> bool:
+    try:
+        return lock(fd, wait=False)
+    except OSError as error:
+        if not knows_no_locks(error):
+            raise
+        return True
 
 
 def is_claimed(run_folder: Path) -> bool:

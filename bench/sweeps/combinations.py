@@ -9,12 +9,13 @@ from pathlib import Path
 from hydra.core.override_parser.types import Glob, Override
 
 from bench import registry
-from bench.config import check_overrides, combinations, options_of, with_home
+from bench.config import check_overrides, combinations, options_of
 from bench.errors import BenchError
 from bench.hydra_settings import config_folders
+from bench.override_text import hydra_lines, quoted
 from bench.runs.config_file import RUNS_FOLDER
 from bench.sweeps.experiment import EXPERIMENT, expand_experiment
-from bench.sweeps.plan import Plan, PlannedRun, Skipped, compose_cell, quoted, sharing
+from bench.sweeps.plan import Plan, PlannedRun, Skipped, compose_cell, sharing
 from bench.tables.named.definitions import Cell
 
 
@@ -25,7 +26,7 @@ def plan_combinations(overrides: Sequence[str]) -> Plan:
     others are skipped. Raises ``BenchError`` for wrong overrides.
     """
     runs: dict[Path, PlannedRun] = {}
-    given, skipped = expand_globs(with_home(overrides))
+    given, skipped = expand_globs(hydra_lines(overrides))
     for cell, of_cell in expand_experiment(given):
         swept = [o.get_key_element() for o in check_overrides(of_cell) if o.is_sweep_override()]
         for combination in combinations(of_cell):

@@ -11,9 +11,10 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from bench import registry
-from bench.config import RunConfig, check_overrides, compose_run, resolved, with_home
+from bench.config import RunConfig, check_overrides, compose_run, resolved
 from bench.errors import BenchError
 from bench.installed_data import config_folder
+from bench.override_text import hydra_lines, quoted
 from bench.plugin_config import plugins_in
 from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE
 from bench.runs.config_file import RUNS_FOLDER
@@ -104,7 +105,7 @@ def make_plan(table: NamedTable, overrides: Sequence[str], seeds: Sequence[int])
 def _checked(overrides: Sequence[str], table: str, of_table: Sequence[Cell]) -> list[str]:
     """The user's overrides; raises ``BenchError`` for one that sweeps, or that every cell has its own value of."""
     everywhere = set.intersection(*({each.partition("=")[0] for each in cell.overrides} for cell in of_table))
-    lines = with_home(overrides)
+    lines = hydra_lines(overrides)
     for parsed in check_overrides(lines):
         key = parsed.get_key_element()
         if parsed.is_sweep_override():
@@ -196,12 +197,6 @@ def sharing(overrides: Sequence[str], measuring: bool = False) -> tuple[str, ...
     if any(each.startswith(key) for each in overrides):
         return tuple(overrides)
     return (*overrides, f"{key}{'false' if measuring else 'true'}")
-
-
-def quoted(path: Path) -> str:
-    """A path as the value of an override, whatever characters it has."""
-    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"
 
 
 def _planned(

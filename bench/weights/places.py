@@ -22,8 +22,12 @@ class Located:
 
 
 def cache_root() -> Path:
-    """The project's cache folder: ``$BGS_CACHE``, else the user's (``~/.cache/bgs-bench`` on Linux). Not made here."""
-    return Path(os.environ.get("BGS_CACHE") or pooch.os_cache("bgs-bench")).expanduser().absolute()
+    """The project's cache folder: ``$BGS_CACHE``, else the user's (``~/.cache/bgs-bench`` on Linux), else, of a user
+    without a home folder, ``results/cache`` where the command is given. Not made here."""
+    try:
+        return Path(os.environ.get("BGS_CACHE") or pooch.os_cache("bgs-bench")).expanduser().absolute()
+    except RuntimeError:  # no HOME, and an account that the system does not know
+        return Path("results/cache").absolute()
 
 
 def cached_path(weights: Weights) -> Path:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import signal
 import subprocess
@@ -11,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from bench.errors import BenchError
+from bench.io.file_lock import has_locks
 from bench.sweeps import child, oom_kills
 from bench.sweeps.child import environment_of
 from bench.sweeps.claim import Claim, claimed_by, is_claimed
@@ -141,6 +144,43 @@ def test_a_run_that_can_not_be_claimed_fails_alone(tmp_path: Path) -> None:
         ),
         ("good", "failed: no weights"),
     ]
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    """Every claim is granted, and whoever sweeps is told."""
+    assert has_locks(tmp_path)
+
+    def refuse(file: int, what: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    assert not has_locks(tmp_path)
+    claims = [Claim.attempt(tmp_path / "run") for _ in range(2)]
+    assert not is_claimed(tmp_path / "run")
+    for claim in claims:
+        assert claim is not None
+        claim.release()
+
+
+@pytest.mark.parametrize("scored", [False, True])
+def test_a_process_that_ends_without_an_error_before_its_run_is_done(tmp_path: Path, scored: bool) -> None:
+    """A plugin's ``os._exit(0)``: while mapping, or while scoring."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "config.yaml").write_text("# bgs-bench run, config hash 0\nseed: 0\n")
+    state = "done" if scored else "running"
+    code = (
+        "import json, os, pathlib, socket\n"
+        f"status = {{'state': {state!r}, 'pid': os.getpid(), 'host': socket.gethostname()}}\n"
+        f"pathlib.Path({str(folder / 'status.json')!r}).write_text(json.dumps(status))\n"
+        "os._exit(0)\n"
+    )
+    claim = Claim.attempt(folder)
+    assert claim is not None
+    found = child.Child(Job("run", folder, tmp_path, ("-S", "-c", code)), claim, dict(os.environ)).outcome().found
+    assert found.progress == "failed"
+    assert found.reason.startswith("its process ended with exit code 0 before the run was done")
 
 
 @pytest.mark.parametrize("sent", [signal.SIGABRT, signal.SIGTERM])

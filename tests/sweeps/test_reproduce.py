@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import errno
+import fcntl
 import io
 import json
 import os
@@ -64,6 +66,22 @@ def test_what_is_there_is_not_made_again(unbroken: Bench, capfd: pytest.CaptureF
     assert unbroken.started() == []
     assert unbroken.tables() == before
     assert "21 runs, 0 to make" in capfd.readouterr().out
+
+
+@pytest.mark.slow
+def test_without_locks_one_run_is_made_at_a_time(
+    make_bench: MakeBench, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(file: int, what: int) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    bench = make_bench("without-locks")
+    bench.behave(others="slow")
+    assert bench.reproduce("--seeds", "0", "--jobs", "3") == 0
+    order = [line.split()[0] for line in (bench.control / "gpus.txt").read_text().splitlines()]
+    assert order == ["begins", "ends"] * 7
+    assert "a file system without locks: one run at a time" in capfd.readouterr().out
 
 
 @pytest.mark.slow

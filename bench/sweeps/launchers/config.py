@@ -23,6 +23,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 import bench
 from bench.errors import BenchError, did_you_mean
+from bench.override_text import quoted
 
 _CONFIG = "sweep"
 
@@ -52,8 +53,7 @@ def compose_launcher(name: str, settings: Sequence[str], at_once: int, folder: P
     ``at_once`` is what ``--jobs`` says; joblib's own ``n_jobs`` may change it. Raises ``BenchError`` for settings that
     the launcher does not have, with the nearest one.
     """
-    quoted = str(folder.absolute()).replace("\\", "\\\\").replace("'", "\\'")
-    fixed = [f"hydra/launcher=bgs_{name}", f"at_once={at_once}", f"hydra.sweep.dir='{quoted}'"]
+    fixed = [f"hydra/launcher=bgs_{name}", f"at_once={at_once}", f"hydra.sweep.dir={quoted(folder.absolute())}"]
     GlobalHydra.instance().clear()
     conf = Path(bench.__file__).parent
     conf = conf / "conf" if (conf / "conf").is_dir() else conf.parent / "conf"

@@ -5,8 +5,11 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+from bench.io.file_lock import has_locks
+from bench.report.terminal import say
 from bench.sweeps.child import environment_of
 from bench.sweeps.launchers.choice import BASIC, LauncherChoice
 from bench.sweeps.launchers.gpus import gpus_of_this_machine
@@ -29,6 +32,10 @@ def make_runs(plan: Plan, launcher: LauncherChoice, choice: Choice, view: SweepV
             jobs.append(planned.job)
         else:
             view.leave(planned, found)
+    if jobs and not _has_locks(plan.root):
+        text = f"{plan.root} is on a file system without locks: one run at a time; don't start the same runs twice"
+        say(text, view.console)
+        launcher = LauncherChoice(at_once=1)
     gpus = gpus_of_this_machine()
     at_once = launcher.at_once
     with _terminate_as_interrupt(), view:
@@ -36,6 +43,14 @@ def make_runs(plan: Plan, launcher: LauncherChoice, choice: Choice, view: SweepV
             Sweep(jobs, at_once, choice, view, lambda slot: environment_of(slot, at_once, gpus)).run()
         elif jobs:
             LaunchedSweep(jobs, launcher, choice, view, plan.root, gpus).run()
+
+
+def _has_locks(root: Path) -> bool:
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        return has_locks(root)
+    except OSError:  # what can't be written there is told of each run
+        return True
 
 
 @contextmanager
