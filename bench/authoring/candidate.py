@@ -37,6 +37,8 @@ CONTRACTS: dict[str, type] = {
 
 # The surroundings unless the author names others: the built-in street, small and short.
 _SMALL = ("dataset=street", "dataset.frames=8", "dataset.width=128", "dataset.height=64")
+# The map that a keyframer looks at is made again for each check.
+_QUICK_MAP = "mapper.iterations=4"
 # A tracker needs more pixels to find features in.
 _SMALL_FOR_TRACKER = ("dataset=street", "dataset.frames=8", "dataset.width=320", "dataset.height=96")
 
@@ -59,6 +61,8 @@ def candidate_of(overrides: Sequence[str], folders: Sequence[str] = ()) -> Candi
         raise BenchError(f"{named[0].input_line} names several plugins; check one at a time: {kind}=NAME.")
     small = _SMALL_FOR_TRACKER if kind == "tracker" else _SMALL
     surroundings = () if any(override.key_or_group.startswith("dataset") for override in parsed) else small
+    if kind == "keyframer" and not any(override.key_or_group.startswith(("mapper", "system")) for override in parsed):
+        surroundings = (*surroundings, _QUICK_MAP)
     if kind in RUN_KINDS:
         run = compose_run([*surroundings, *given])
         config = run.several(kind)[0] if kind in SEVERAL_AT_ONCE else run.plugin(kind)

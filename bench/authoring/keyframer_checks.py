@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.authoring import probes
+from bench.authoring.shown_map import ShownMap
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.types import KeyframeDecision, StereoFrame, TrackingResult
 
@@ -25,9 +26,13 @@ class Subject:
     candidate: Candidate
 
     @cached_property
+    def dataset(self) -> Any:
+        return self.candidate.other("dataset")
+
+    @cached_property
     def tracked(self) -> list[tuple[StereoFrame, TrackingResult]]:
         """Frames with true poses and landmarks of which a third is new in each frame."""
-        dataset = self.candidate.other("dataset")
+        dataset = self.dataset
         probes.require_frames(dataset, 4)
         truth, found = dataset.ground_truth(), []
         for position in range(min(_FRAMES, len(dataset))):
@@ -36,15 +41,39 @@ class Subject:
             found.append((dataset.frame(position), TrackingResult(T, "ok", _LANDMARKS, 0.5, seen)))
         return found
 
-    def decide(self, tracked: list[tuple[StereoFrame, TrackingResult]]) -> list[KeyframeDecision]:
-        """The decisions of a fresh instance, each of them checked."""
+    def started(self) -> tuple[Any, ShownMap | None]:
+        """A fresh instance, and the map that it looks at; None where it does not."""
         keyframer = self.candidate.build()
+        if not keyframer.uses_map:
+            return keyframer, None
+        shown = ShownMap(self.candidate, self.dataset)
+        keyframer.use_map(shown.mapper.view())
+        return keyframer, shown
+
+    def decide(
+        self, tracked: list[tuple[StereoFrame, TrackingResult]], break_after: int | None = None
+    ) -> list[KeyframeDecision]:
+        """The decisions of a fresh instance, each of them checked; a map that it looks at learns its keyframes.
+
+        With ``break_after`` another instance goes on after so many frames, from what a checkpoint would hold.
+        """
+        keyframer, shown = self.started()
+        truth = self.dataset.ground_truth()
         decisions: list[KeyframeDecision] = []
         admitted: list[int] = []
         for frame, tracking in tracked:
             decision = keyframer.update(frame, tracking)
             _require_decision(decision, frame.number, admitted)
             decisions.append(decision)
+            if shown is None:
+                continue
+            if decision.is_keyframe and tracking.T_world_cam is not None and truth is not None:
+                shown.learn(frame, tracking.T_world_cam, list(decision.window), truth)
+            if len(decisions) == break_after:
+                state = probes.through_a_file(keyframer.state())
+                keyframer = self.candidate.build()
+                keyframer.use_map(shown.mapper.view())
+                keyframer.restore(state)
         return decisions
 
 
@@ -125,11 +154,29 @@ def _repeats(subject: Subject) -> str:
     return "a fresh instance in a background thread: the same decisions"
 
 
+def _resumes(subject: Subject) -> str | Note:
+    keyframer, shown = subject.started()
+    if shown is None:
+        return "it does not look at the map: its frames are decided again after a kill"
+    if keyframer.state() is None:
+        return Note("it looks at the map and gives no state(): runs with it have no checkpoints")
+    half = len(subject.tracked) // 2
+    if subject.decide(subject.tracked) != subject.decide(subject.tracked, break_after=half):
+        raise ContractBrokenError(
+            f"a fresh instance that goes on from state() after {half} frames decided otherwise",
+            "the same decisions as without a break",
+            "put all that deciding depends on into state(), and take it over in restore()",
+            "restore",
+        )
+    return f"a fresh instance goes on from state() after {half} frames: the same decisions"
+
+
 def _inputs(subject: Subject) -> str:
     frame, tracking = subject.tracked[0]
     left, landmarks = frame.left.copy(), np.array(tracking.landmarks)
     T = np.array(tracking.T_world_cam)
-    subject.candidate.build().update(
+    keyframer, _ = subject.started()
+    keyframer.update(
         StereoFrame(frame.number, frame.timestamp, left, frame.right),
         TrackingResult(T, "ok", _LANDMARKS, 0.5, landmarks),
     )
@@ -146,5 +193,6 @@ def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:
         Check("reasons", _reasons),
         Check("other trackers", _other_trackers),
         Check("determinism", _repeats),
+        Check("resumes", _resumes),
         Check("inputs", _inputs),
     )

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from bench import registry
 from bench.authoring import probes
 from bench.authoring.poses import require_pose, require_trajectory
+from bench.authoring.shown_map import ShownMap
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.evaluation.trajectory import absolute_trajectory_error
-from bench.types import DepthMap, Keyframe, StereoFrame, TrackingResult, Trajectory
+from bench.types import StereoFrame, TrackingResult, Trajectory
 
 FRAMES = 8
 _STATES = ("ok", "weak", "lost")
@@ -49,35 +49,29 @@ class Subject:
     def drive(self) -> Drive:
         return self.drive_again()
 
-    def started(self) -> tuple[Any, Any]:
-        """A fresh instance, and the mapper whose map it looks at; None where it does not."""
-        tracker, mapper = self.candidate.build(), None
-        if tracker.uses_map:
-            mapper = self.candidate.other("mapper")
-            losses = [registry.build(loss, "loss") for loss in self.candidate.run.several("loss")]
-            mapper.start(self.dataset.camera, losses, 0)
+    def started(self) -> tuple[Any, ShownMap | None]:
+        """A fresh instance, and the map that it looks at; None where it does not."""
+        tracker = self.candidate.build()
+        shown = ShownMap(self.candidate, self.dataset) if tracker.uses_map else None
         tracker.start(self.dataset)
-        if mapper is not None:
-            tracker.use_map(mapper.view())
-        return tracker, mapper
+        if shown is not None:
+            tracker.use_map(shown.mapper.view())
+        return tracker, shown
 
-    def map(self, mapper: Any, frame: StereoFrame, tracker: Any) -> None:
-        """Let the map learn from a tracked frame, as in a run where every frame is a keyframe, with true depth."""
+    @staticmethod
+    def map(shown: ShownMap | None, frame: StereoFrame, tracker: Any) -> None:
+        """Let the map learn from a tracked frame, as in a run where every frame is a keyframe."""
         known = tracker.trajectory()
-        pose, position = known.pose_of(frame.number), self.dataset.numbers.index(frame.number)
-        depth = self.dataset.true_depth(position)
-        if mapper is None or pose is None or depth is None:
-            return
-        mapper.update_poses(known)
-        sky = self.dataset.true_sky(position)
-        mapper.add_keyframe(Keyframe(frame, DepthMap(depth, "truth"), sky, pose), known.numbers.tolist()[-5:])
+        pose = known.pose_of(frame.number)
+        if shown is not None and pose is not None:
+            shown.learn(frame, pose, known.numbers.tolist()[-5:], known)
 
     def drive_again(self, break_after: int | None = None) -> Drive:
         """The frames through a fresh instance, every answer checked.
 
         With ``break_after`` another instance goes on after so many frames, from what a checkpoint would hold.
         """
-        tracker, mapper = self.started()
+        tracker, shown = self.started()
         results, seconds, tracked = [], 0.0, []
         for frame in self.frames:
             start = time.perf_counter()
@@ -87,13 +81,13 @@ class Subject:
             results.append(result)
             tracked += [] if result.state == "lost" else [frame.number]
             require_trajectory(tracker.trajectory(), tracked, f"trajectory() after frame {frame.number}", "trajectory")
-            self.map(mapper, frame, tracker)
-            if len(results) == break_after:
+            self.map(shown, frame, tracker)
+            if shown is not None and len(results) == break_after:
                 state = probes.through_a_file(tracker.state())
                 tracker.finish()
                 tracker = self.candidate.build()
                 tracker.start(self.dataset)
-                tracker.use_map(mapper.view())
+                tracker.use_map(shown.mapper.view())
                 tracker.restore(state)
         tracker.finish()
         require_trajectory(tracker.trajectory(), tracked, "trajectory() after finish()", "finish")

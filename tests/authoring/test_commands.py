@@ -54,9 +54,62 @@ def test_a_failure_is_printed_with_the_line_to_mend(
         "        expected             a keyframe: the map begins with it\n"
         "        to mend              make the first frame a keyframe whatever the rule says\n"
         f"        where                bad_rule.py:{line}\n"
-        "note    not checked          reasons, other trackers, determinism, inputs: first mend what failed above\n"
+        "note    not checked          reasons, other trackers, determinism, resumes, inputs: "
+        "first mend what failed above\n"
         "1 of 5 checks FAILED\n"
     ) in out
+
+
+LOOKS_AT_THE_MAP = """\
+    uses_map = True
+
+    def use_map(self, view):
+        self.view = view
+        self.drawn = []
+
+    def state(self):
+        return {"seen": self.seen, "window": list(self.window), "drawn": self.drawn}
+
+    def restore(self, state):
+        self.seen, self.window, self.drawn = state["seen"], tuple(state["window"]), state["drawn"]
+
+    def update("""
+
+
+@pytest.mark.parametrize(
+    ("old", "new_text", "says"),
+    [
+        (
+            "",
+            "",
+            r"ok      resumes              a fresh instance goes on from state\(\) after 4 frames: the same decisions",
+        ),
+        (
+            '"drawn": self.drawn}',
+            '"drawn": []}',
+            r"FAILED  resumes .*that goes on from state\(\) after 4 frames decided",
+        ),
+        ("def state(", "def no_state(", r"note    resumes              it looks at the map and gives no state\(\)"),
+    ],
+)
+def test_a_keyframer_that_looks_at_the_map_gets_one(
+    old: str, new_text: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It wants a keyframe until three frames have seen a map, which is empty before the first keyframe."""
+    file = new("keyframer", "looking", tmp_path)
+    text = file.read_text().replace("    def update(", LOOKS_AT_THE_MAP, 1)
+    text = text.replace(
+        "due = self.seen % self.config.every == 0",
+        "view = PinholeView(tracking.T_world_cam, 60.0, 60.0, 64.0, 32.0, 128, 64)\n"
+        "        self.drawn = [*self.drawn, bool(self.view.seen(view).any())]\n"
+        "        due = sum(self.drawn) < 3",
+    ).replace("import KeyframeDecision,", "import KeyframeDecision, PinholeView,")
+    file.write_text(text.replace(old, new_text, 1) if old else text)
+    capsys.readouterr()
+    main(["check-plugin", "keyframer=looking", f"plugins=[{tmp_path}]"])
+    out = capsys.readouterr().out
+    assert re.search(says, out), out
+    assert "keyframes 0, 1, 2 of 8 frames" in out
 
 
 @pytest.mark.parametrize("traceback", [False, True])
