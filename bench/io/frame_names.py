@@ -19,8 +19,8 @@ from bench.types import Float
 
 _NUMBER = re.compile(r"(?<![^\W_])\d+\.\d+|\d+")
 """Digits, or a decimal number that no letter or digit touches on the left: ``0.25``, ``t_0.25``, not ``cam0.12``."""
-_EPOCH = ((10**17, Decimal("1e-9")), (10**14, Decimal("1e-6")), (10**12, Decimal("1e-3")))
-"""From which number on names count ns, us or ms since 1970: the present is 1.7e18 ns, 1.7e15 us, 1.7e12 ms."""
+_EPOCH = ((10**18, Decimal("1e-9")), (10**15, Decimal("1e-6")), (10**12, Decimal("1e-3")))
+"""Numbers from here to ten times as much count ns, us or ms since 1970: 2001 to 2286. Dates (20210304090559) don't."""
 _STEP = ((10**6, Decimal("1e-9")), (5000, Decimal("1e-6")))
 """From which median step on smaller numbers count ns or us: cameras take 1 to 200 pictures a second, which is 5e6 to
 1e9 ns or 5e3 to 1e6 us, and nobody keeps every 5000th frame."""
@@ -62,7 +62,8 @@ class NamedFiles:
 def in_order(files: Sequence[Path], advice: str = "Keep one of them, or rename it.") -> NamedFiles:
     """Order files by the number or time in their names; names without any digit by the alphabet.
 
-    Of several numbers in a name those count that differ from file to file; in names that are not built alike the last.
+    Of several numbers in a name those count that differ from file to file; in names that are not built alike the first
+    where they begin alike, else the last.
     Raises ``BenchError`` for a file without a number among others that have one, and for one number twice; ``advice``
     says what to do about the latter.
     """
@@ -80,7 +81,9 @@ def in_order(files: Sequence[Path], advice: str = "Keep one of them, or rename i
         columns = list(zip(*found, strict=True))
         keys = list(zip(*[column for column in columns if len(set(column)) > 1] or columns[-1:], strict=True))
     else:
-        keys = [(numbers[-1],) for numbers in found]
+        # Behind one common beginning the frame's number comes first, and what follows may be anything.
+        at = 0 if len({_NUMBER.split(file.stem)[0] for file in files}) == 1 else -1
+        keys = [(numbers[at],) for numbers in found]
     order = sorted(range(len(files)), key=lambda at: keys[at])
     sorted_files, sorted_keys = [files[at] for at in order], [keys[at] for at in order]
     _require_unique(sorted_keys, sorted_files, advice)
@@ -111,7 +114,7 @@ def _unit(values: Sequence[Decimal]) -> Decimal | None:
 def seconds_per_unit(times: Sequence[Decimal] | Float) -> Decimal:
     """Seconds of one unit of increasing ``times`` (N,): ns, us and ms are told from seconds by their size and steps."""
     steps = sorted(b - a for a, b in itertools.pairwise(times))
-    of_epoch = (unit for least, unit in _EPOCH if times[-1] >= least)
+    of_epoch = (unit for least, unit in _EPOCH if least <= times[-1] < 10 * least)
     of_step = (unit for least, unit in _STEP if steps and steps[len(steps) // 2] >= least)
     return next(itertools.chain(of_epoch, of_step), Decimal(1))
 

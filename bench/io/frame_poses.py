@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,8 +69,8 @@ def read_times(path: Path, images: NamedFiles) -> tuple[Float, tuple[str, ...]]:
     """
     lines = read_text(path, "file of times").rstrip().splitlines()
     try:
-        times = np.array([float(line.split()[0]) for line in lines if not line.startswith("#")])
-    except (ValueError, IndexError):
+        times = np.array([float(re.split(r"[\s,]", line.strip())[0]) for line in lines if not line.startswith("#")])
+    except ValueError:
         raise BenchError(f"{path}: not every line begins with a time in seconds, one an image.") from None
     rows, remarks = rows_of_images(len(times), images, path, "times")
     times = times[rows]

@@ -94,7 +94,7 @@ def test_poses_by_time_need_times(tmp_path: Path) -> None:
         poses_of_images(path, numbered, None)
     with pytest.raises(BenchError, match=r"nowhere near the images', 1000\.000 to 1002\.000 s"):
         poses_of_images(path, numbered, np.array([1000.0, 1001.0, 1002.0]))
-    (tmp_path / "times.txt").write_text("\ufeff0.05\n0.1\n0.15\n", encoding="utf-8")
+    (tmp_path / "times.txt").write_text("\ufeff# s, file\n0.05 a.png\n0.1,b.png\n0.15\n", encoding="utf-8")
     times, remarks = read_times(tmp_path / "times.txt", numbered)
     assert remarks == ()
     np.testing.assert_allclose(poses_of_images(path, numbered, times).T_world_cam[:, 0, 3], [0.5, 1.0, 1.5])
