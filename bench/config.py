@@ -84,6 +84,10 @@ class RootConfig:
     """Evaluators, several of `bgs-bench list evaluator`."""
 
     def __post_init__(self) -> None:
+        if self.seed >= 2**63:  # what torch takes
+            raise BenchError(f"seed={self.seed} is too large; the most is {2**63 - 1}.")
+        if self.threads > 1024:
+            raise BenchError(f"threads={self.threads} is too large; the core takes up to 1024.")
         if self.seed < 0:
             raise BenchError(f"seed={self.seed} is negative; choose 0 or more.")
         if not self.checkpoint_s >= 0:

@@ -57,3 +57,10 @@ def require_least(where: str, config: object, **least: float) -> None:
     for name, value in least.items():
         if not getattr(config, name) >= value:
             raise BenchError(f"{where}.{name}={getattr(config, name)} is too small; the least is {value:g}.")
+
+
+def require_between(where: str, config: object, low: float, high: float, *names: str) -> None:
+    """Raise a readable ``BenchError`` for the first of these settings that is below ``low``, above ``high``, or NaN."""
+    for name in names:
+        if not low <= getattr(config, name) <= high:
+            raise BenchError(f"{where}.{name}={getattr(config, name)} must lie between {low:g} and {high:g}.")

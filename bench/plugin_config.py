@@ -13,6 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 from bench import registry
 from bench.errors import BenchError, did_you_mean, first_line
 from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, Plugin, PluginConfig
+from bench.settings import check_numbers
 
 _parsed: dict[tuple[str, type[PluginConfig], str], PluginConfig] = {}
 """The runs of a sweep share most of their parts, and parsing one takes milliseconds."""
@@ -53,8 +54,10 @@ def _parse(kind: str, plugin: Plugin, mapping: Mapping[str, Any]) -> PluginConfi
         _check_lengths(kind, plugin.config, merged)
         config = OmegaConf.to_object(merged)
     except OmegaConfBaseException as error:
-        raise BenchError(f"{kind}={plugin.name}: {first_line(error)}") from error
+        where = f"{kind}.{error.full_key}" if error.full_key else f"{kind}={plugin.name}"
+        raise BenchError(f"{where}: {first_line(error)}") from error
     assert isinstance(config, plugin.config)
+    check_numbers(f"{kind}.{plugin.name}" if kind in SEVERAL_AT_ONCE else kind, config)
     chosen: dict[str, Any] = {key: _inner(kind, key, inner[key], mapping[key]) for key in inner if key in mapping}
     return dataclasses.replace(config, **chosen) if chosen else config
 

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from bench.errors import BenchError, did_you_mean, require_choice
+from bench.settings import check_numbers
 
 ALIGNMENTS = ("se3", "none")
 RENDERED_DEPTHS = ("raw", "normalized")
@@ -49,6 +50,7 @@ class Protocol:
 
     def __post_init__(self) -> None:
         """Check the values; raises ``BenchError`` naming the setting, its value and what is accepted."""
+        check_numbers("protocol", self)
         require_choice("protocol.alignment", self.alignment, ALIGNMENTS)
         require_choice("protocol.rendered_depth", self.rendered_depth, RENDERED_DEPTHS)
         require_choice("protocol.ssim", self.ssim, SSIM_FLAVOURS)

@@ -1,15 +1,22 @@
-"""What a config dataclass says about its settings: each field's documentation stands below it as a string."""
+"""What a config dataclass says about its settings: each field's documentation stands below it as a string; and whether
+their numbers are numbers to work with."""
 
 from __future__ import annotations
 
 import ast
 import dataclasses
 import inspect
+import math
 import textwrap
 import typing
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
+
+from bench.errors import BenchError
+
+LARGEST = 2**31 - 1
+"""The largest whole number that a setting can be: what 32 bits hold."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +60,29 @@ def documented(config: type) -> list[Setting]:
         default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
         settings.append(Setting(field.name, written[field.name], default, meanings[field.name]))
     return settings
+
+
+def check_numbers(where: str, config: Any) -> None:
+    """Raise ``BenchError`` for the first setting, nested and listed ones too, that is NaN, infinite or beyond 32 bits.
+
+    ``where`` is how the user begins the settings' names, for example ``"mapper"``. A float may be infinite where its
+    field says so: ``field(default=..., metadata={"infinite": True})``. What else a number must be is up to the config's
+    own ``__post_init__``.
+    """
+    for field in dataclasses.fields(config):
+        value, name = getattr(config, field.name), f"{where}.{field.name}"
+        if dataclasses.is_dataclass(value):
+            # A setting that is a plugin has been checked as such.
+            if "plugin" not in field.metadata:
+                check_numbers(name, value)
+            continue
+        for each in value if isinstance(value, (list, tuple)) else [value]:
+            if isinstance(each, float) and not math.isfinite(each):
+                if math.isnan(each) or not field.metadata.get("infinite"):
+                    shown = list(value) if isinstance(value, tuple) else value
+                    raise BenchError(f"{name}={shown} is no number to work with; give a finite one.")
+            elif isinstance(each, int) and abs(each) > LARGEST:
+                raise BenchError(f"{name}={each} is too large; the most is {LARGEST}.")
 
 
 def _fields_in_source(config: type) -> Iterator[tuple[str, str, str]]:

@@ -23,7 +23,8 @@ class CacheConfig:
     folder: str = ""
     """Where it is; empty: frames/ in $BGS_CACHE, else in the user's cache folder."""
     limit_gb: float = 20.0
-    """How much it may hold, in GB of 1e9 bytes; what was not used for the longest time goes first."""
+    """How much it may hold, in GB of 1e9 bytes; what was not used for the longest time goes first (inf: no
+    limit)."""
 
     def __post_init__(self) -> None:
         if not self.limit_gb > 0:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from bench.contracts.rasterizer import Rendered
+from bench.errors import require_least
 from bench.registry import PluginConfig
 from bench.supervision.target import Target
 
@@ -32,6 +33,10 @@ class LossConfig(PluginConfig):
 
     weight: float = 1.0
     """Factor of the term in the sum that mapping minimises; 0: not computed."""
+
+    def __post_init__(self) -> None:
+        """Refuse a negative weight; a config with checks of its own calls this one too."""
+        require_least(f"loss.{self.name}", self, weight=0)
 
 
 @dataclass

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import torch
 
-from bench.errors import BenchError
+from bench.errors import BenchError, require_between, require_least
 from bench.gaussians.parameters import planes_from
 from bench.geometry import se3
 from bench.types import DepthMap, Image, Map, Mask, PinholeView
@@ -49,8 +49,8 @@ class SeedingConfig:
         for name in ("size", "thickness"):
             if not getattr(self, name) > 0:
                 raise BenchError(f"mapper.seeding.{name}={getattr(self, name)} must be above 0.")
-        if not 0 <= self.min_confidence <= 1:
-            raise BenchError(f"mapper.seeding.min_confidence={self.min_confidence} must lie between 0 and 1.")
+        require_between("mapper.seeding", self, 0, 1, "max_alpha", "min_confidence")
+        require_least("mapper.seeding", self, min_error=0)
         if not self.sky_distance_m >= 0:
             raise BenchError(f"mapper.seeding.sky_distance_m={self.sky_distance_m} must be 0 (no sky) or more metres.")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import sys
@@ -47,7 +48,7 @@ class LimitsConfig:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if value is not None and not value > 0:
+            if value is not None and not 0 < value < math.inf:
                 raise BenchError(f"limits.{name}={value} must be above 0, or null for no limit.")
 
 

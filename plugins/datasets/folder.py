@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.contracts.dataset import Dataset
-from bench.errors import BenchError
+from bench.errors import BenchError, require_least
 from bench.io.frame_names import NamedFiles, in_order, join
 from bench.io.frame_poses import poses_of_images, read_times
 from bench.io.frame_range import describe, parse_frame_range, select_frames
@@ -48,6 +48,9 @@ class FolderConfig(PluginConfig):
     needs some, ``times.txt`` beside the left folder."""
     frames: str = ""
     """Image numbers ``a:b`` or ``a:b:step``; empty: all."""
+
+    def __post_init__(self) -> None:
+        require_least("dataset", self, fx=0, fy=0, cx=0, cy=0, baseline=0)
 
 
 @register("dataset", "folder", config=FolderConfig)

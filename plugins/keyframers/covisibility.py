@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from bench.contracts.keyframer import Keyframer
-from bench.errors import BenchError, require_least
+from bench.errors import BenchError, require_between, require_least
 from bench.geometry import se3
 from bench.io.images import grey
 from bench.registry import PluginConfig, register
@@ -45,9 +45,7 @@ class CovisibilityConfig(PluginConfig):
     """ORB keypoints per frame, where the tracker gives no landmarks."""
 
     def __post_init__(self) -> None:
-        for key in ("iou_threshold", "marginalise_iou"):
-            if not 0.0 <= getattr(self, key) <= 1.0:
-                raise BenchError(f"keyframer.{key}={getattr(self, key)} must lie between 0 and 1.")
+        require_between("keyframer", self, 0, 1, "iou_threshold", "marginalise_iou")
         for key in ("motion_factor", "min_translation_m", "min_rotation_deg"):
             if not getattr(self, key) >= 0.0:
                 raise BenchError(f"keyframer.{key}={getattr(self, key)} must not be negative.")

@@ -33,6 +33,7 @@ class GeoConfig(LossConfig):
     """raw = sum d a T as in the paper's Eq. 3, normalized = divided by alpha."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.stride < 1:
             raise BenchError(f"loss.geo.stride={self.stride} must be at least 1 (1 = every pixel, 2 = a quarter).")
         require_choice("loss.geo.rendered_depth", self.rendered_depth, ["raw", "normalized"])

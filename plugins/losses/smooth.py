@@ -29,6 +29,7 @@ class SmoothConfig(LossConfig):
     """The neighbours r over which the paper sums, in pixels."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.distances or min(self.distances) < 1:
             raise BenchError(f"loss.smooth.distances={list(self.distances)} must hold positive pixel distances.")
 

@@ -17,7 +17,7 @@ from bench.contracts.loss import LossTerm
 from bench.contracts.map_view import MapView
 from bench.contracts.mapper import Mapper
 from bench.contracts.rasterizer import Rasterizer
-from bench.errors import BenchError
+from bench.errors import BenchError, require_between, require_least
 from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.map import GaussianMap
 from bench.gaussians.map_view import GaussianMapView
@@ -64,10 +64,10 @@ class GaussianMapperConfig(PluginConfig):
     replayed_keyframes: int = 1000
     """How many keyframes keep their image and depth to be learned from again (3.7 MB each at KITTI's size); of more,
     those with the closest neighbours are let go."""
-    follow_corrections_m: float = 0.01
+    follow_corrections_m: float = field(default=0.01, metadata={"infinite": True})
     """Gaussians move with their keyframe once its pose has been corrected by more metres (0: always, inf: never);
     following every small correction of local bundle adjustment changes quality by less than 0.1 dB either way."""
-    follow_corrections_deg: float = 0.05
+    follow_corrections_deg: float = field(default=0.05, metadata={"infinite": True})
     """The same in degrees; one of the two is enough."""
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
     """Where new Gaussians start."""
@@ -79,6 +79,9 @@ class GaussianMapperConfig(PluginConfig):
             raise BenchError(f"mapper.sh_degree={self.sh_degree} must be 0 to {MAX_DEGREE}.")
         if self.iterations < 1 or self.final_iterations < 0:
             raise BenchError("mapper.iterations must be at least 1 and mapper.final_iterations at least 0.")
+        require_between("mapper", self, 0, 1, "coarse_share", "prune_opacity")
+        rates = ("position_rate", "color_rate", "opacity_rate", "scale_rate", "rotation_rate")
+        require_least("mapper", self, cached_targets=1, **dict.fromkeys(rates, 0))
         if min(self.newest_share, self.window_share) < 0 or self.newest_share + self.window_share > 1:
             raise BenchError(
                 "mapper.newest_share + mapper.window_share must lie between 0 and 1; the rest is older views."

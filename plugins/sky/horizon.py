@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from bench.contracts.sky import SkySegmenter
-from bench.errors import BenchError
+from bench.errors import BenchError, require_between
 from bench.registry import PluginConfig, register
 from bench.types import DepthMap, Image, Map, Mask, StereoCamera
 
@@ -50,6 +50,8 @@ class HorizonConfig(PluginConfig):
     def __post_init__(self) -> None:
         if self.max_disparity <= 0:
             raise BenchError(f"sky.max_disparity={self.max_disparity} must be positive, for example 3.")
+        require_between("sky", self, 0, 255, "min_luma", "max_step", "max_tint")
+        require_between("sky", self, 0, 1, "min_blue", "max_near", "min_relative")
 
 
 @register("sky", "horizon", config=HorizonConfig)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.contracts.stereo import Matched
-from bench.errors import BenchError, require_choice
+from bench.errors import BenchError, require_choice, require_least
 from bench.registry import register
 from bench.stereo.network import NetworkConfig, StereoNetwork
 from bench.stereo.onnx_graph import CHOICES, PRESETS, StereoGraph
@@ -87,6 +87,7 @@ class OnnxConfig(NetworkConfig):
             if len(values) not in (0, 1, 3) or (name == "std" and not all(value > 0 for value in values)):
                 numbers = "numbers above 0" if name == "std" else "numbers"
                 raise BenchError(f"stereo.{name}={list(values)} must be one or three {numbers}, for example [0.5].")
+        require_least("stereo", self, threads=0, **({} if self.channel is None else {"channel": 0}))
         self.graph()
 
     def graph(self) -> StereoGraph:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from bench.contracts.stereo import Matched, StereoBackbone
-from bench.errors import BenchError, require_choice
+from bench.errors import BenchError, require_between, require_choice, require_least
 from bench.io.images import grey
 from bench.registry import PluginConfig, register
 from bench.stereo.left_right import left_right_checked
@@ -66,6 +66,8 @@ class SgbmConfig(PluginConfig):
             raise BenchError(
                 f"stereo.p1={self.p1} and stereo.p2={self.p2}: 0 < p1 < p2 is needed, for example 8 and 32."
             )
+        require_between("stereo", self, 0, 100, "uniqueness")
+        require_least("stereo", self, speckle_size=0, speckle_range=0)
         if self.lr_max_diff < 1:
             # OpenCV silently takes 1 for it.
             raise BenchError(f"stereo.lr_max_diff={self.lr_max_diff} must be at least 1 pixel.")

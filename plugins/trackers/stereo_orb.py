@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
-from bench.errors import BenchError, require_least
+from bench.errors import BenchError, require_between, require_least
 from bench.io.images import grey
 from bench.registry import PluginConfig, register
 from bench.tracking.loops import vocabulary
@@ -66,6 +66,8 @@ class StereoOrbConfig(PluginConfig):
     def __post_init__(self) -> None:
         require_least("tracker", self, features=100, octaves=1, fast_threshold=1, free_keyframes=1, fixed_keyframes=0)
         require_least("tracker", self, min_inliers=6, min_new_map_points=6, bridge_frames=0)
+        require_least("tracker", self, keyframe_translation_m=0, keyframe_rotation_deg=0)
+        require_between("tracker", self, 0, 1, "keyframe_inlier_ratio")
         if not 1 < self.scale_factor <= 2:
             raise BenchError(f"tracker.scale_factor={self.scale_factor} must be above 1 and at most 2; 1.2 is usual.")
         if self.fast_threshold > 254:

@@ -207,7 +207,7 @@ def test_a_saved_plugin_config_is_checked_too() -> None:
     assert plugin_config_from("stereo", {"name": "sgbm"}) == SgbmConfig("sgbm")
     with pytest.raises(BenchError, match=r"stereo=sgbm has no setting 'blok_size'; .*Did you mean 'block_size'"):
         plugin_config_from("stereo", {"name": "sgbm", "blok_size": 5})
-    with pytest.raises(BenchError, match=r"stereo=sgbm: .*'x'.*Integer"):
+    with pytest.raises(BenchError, match=r"stereo\.block_size: .*'x'.*Integer"):
         plugin_config_from("stereo", {"name": "sgbm", "block_size": "x"})
     with pytest.raises(BenchError, match=r"Unknown stereo ''"):
         plugin_config_from("stereo", {})

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import re
 from dataclasses import dataclass, field
+from typing import Any
 
 import pytest
 
@@ -15,7 +18,7 @@ from bench.errors import BenchError, require_least
 from bench.plugin_config import plugin_config_from
 from bench.protocol import Protocol
 from bench.registry import PluginConfig
-from bench.settings import Setting, documented
+from bench.settings import Setting, check_numbers, documented
 
 
 @dataclass(frozen=True)
@@ -93,3 +96,89 @@ def test_a_wrong_value_is_one_plain_sentence() -> None:
 def test_not_a_number_is_below_any_least_value() -> None:
     with pytest.raises(BenchError, match=r"^here\.far_m=nan is too small; the least is 0\.$"):
         require_least("here", InnerConfig(far_m=float("nan")), far_m=0)
+
+
+MAY_BE_INFINITE = {"mapper.follow_corrections_m", "mapper.follow_corrections_deg"}
+"""The map never follows then."""
+MAY_BE_NEGATIVE = {"stereo.gain", "stereo.mean"}
+"""Networks that give the flow have negative disparities, and colours reach from -1 to 1."""
+
+
+def message(kind: str, name: str, setting: str, value: Any) -> str:
+    """What is said about a value when a config is read, as on a command line; empty where it is taken."""
+    *outer, last = setting.split(".")
+    given = {outer[0]: {last: value}} if outer else {last: value}
+    try:
+        plugin_config_from(kind, {"name": name} | given)
+    except BenchError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("kind", registry.KINDS)
+def test_numbers_that_make_no_sense_are_refused_in_one_line(kind: str) -> None:
+    """Every setting of every built-in plugin that is a number, or a list of numbers."""
+    load_plugins()
+    taken, other = [], []
+    plugins = [registry.lookup(kind, name) for name in registry.names(kind)]
+    for plugin in (plugin for plugin in plugins if "/plugins/" in plugin.file):
+        for setting in documented(plugin.config):
+            types = set(re.findall(r"\w+", setting.type)) & {"int", "float"}
+            wrong = {"int": [10**12, True], "float": [math.nan, math.inf, -math.inf, True], "": []}[
+                min(types, default="")
+            ]
+            for value in [*wrong, *([-2] if types else [])]:
+                listed = [value] * max(len(setting.default), 1) if isinstance(setting.default, tuple) else value
+                said = message(kind, plugin.name, setting.name, listed)
+                at = f"{kind}.{setting.name}"
+                allowed = (value == math.inf and at in MAY_BE_INFINITE) or (value == -2 and at in MAY_BE_NEGATIVE)
+                if allowed != (not said):
+                    taken.append(f"{plugin.name}: {at}={value}")
+                elif said and ("\n" in said or setting.name.split(".")[-1] not in said):
+                    other.append(said)
+    assert not taken, "taken (or refused, where they should not be):\n" + "\n".join(taken)
+    assert not other, "no plain sentence that names the setting:\n" + "\n".join(other)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"seed": -1},
+        {"seed": 2**64},
+        {"checkpoint_s": float("nan")},
+        {"checkpoint_s": -1.0},
+        {"threads": -1},
+        {"threads": 10**6},
+    ],
+)
+def test_a_runs_own_numbers(values: dict[str, Any]) -> None:
+    with pytest.raises(BenchError, match=f"^{next(iter(values))}="):
+        RootConfig(**values)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -1.0, 0.0])
+@pytest.mark.parametrize("setting", ["memory_gb", "hours", "stall_minutes"])
+def test_limits(setting: str, value: float) -> None:
+    with pytest.raises(BenchError, match=rf"^limits\.{setting}="):
+        LimitsConfig(**{setting: value})
+
+
+@pytest.mark.parametrize("setting", ["holdout_every", "holdout_remainder", "depth_min_m", "depth_max_m"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -1, 10**12])
+def test_a_protocols_numbers(setting: str, value: float) -> None:
+    if setting == "depth_max_m" and value == 10**12:
+        pytest.skip("10 to the 12 metres is far, and a depth")
+    values = {"holdout_every": 3, setting: value}
+    with pytest.raises(BenchError, match=r"^protocol\."):
+        Protocol(**values)
+
+
+def test_a_plugin_of_the_users_is_checked_too() -> None:
+    """One whose config has no check of its own; an infinite default of theirs would need the field's word."""
+    check_numbers("mine", DerivedConfig())
+    with pytest.raises(BenchError, match=r"^mine\.weight=nan is no number to work with; give a finite one\.$"):
+        check_numbers("mine", DerivedConfig(weight=float("nan")))
+    with pytest.raises(BenchError, match=r"^mine\.inner\.far_m=inf is no number"):
+        check_numbers("mine", DerivedConfig(inner=InnerConfig(float("inf"))))
+    with pytest.raises(BenchError, match=r"^mine\.sizes=4294967296 is too large; the most is 2147483647\.$"):
+        check_numbers("mine", DerivedConfig(sizes=(1, 2**32)))

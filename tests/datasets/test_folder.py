@@ -61,7 +61,7 @@ def test_wrong_input_is_named(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
     expect("dataset.fx=0.0 must be positive", fx=0.0)
-    expect("dataset.baseline=nan must be positive", baseline=float("nan"))
+    expect("dataset.baseline=nan is too small", baseline=float("nan"))
     expect("outside the images of 64x24", cx=500.0)
     expect("dataset.left is not set", left="")
     expect("this folder does not exist", right=str(tmp_path / "gone"))

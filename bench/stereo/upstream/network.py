@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 import bench
 from bench import registry
 from bench.contracts.stereo import Matched
-from bench.errors import BenchError, require_choice
+from bench.errors import BenchError, require_choice, require_least
 from bench.peers.messages import Array, Message
 from bench.peers.process import PeerFailure, PeerProcess
 from bench.stereo.network import NetworkConfig, StereoNetwork
@@ -64,6 +64,7 @@ class UpstreamConfig(NetworkConfig):
                 raise BenchError(
                     f"stereo.{key} and stereo.onnx are both set, but an ONNX file has it all inside. Give one of them."
                 )
+        require_least("stereo", self, iterations=0)
         for key in ("start_timeout_s", "timeout_s"):
             if not getattr(self, key) > 0:
                 raise BenchError(f"stereo.{key}={getattr(self, key)} must be above 0.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bench.errors import require_least
+from bench.errors import require_between, require_least
 
 
 @dataclass(frozen=True)
@@ -29,5 +29,6 @@ class LoopSettings:
     """Loops that say that the odometry is off by more than this share of the way between are not believed."""
 
     def __post_init__(self) -> None:
-        least = {"place_spacing_m": 0, "place_rotation_deg": 0, "min_similarity": 0, "min_way_m": 0, "max_drift": 0}
+        require_between("tracker.loops", self, 0, 1, "min_similarity", "max_drift")
+        least = {"place_spacing_m": 0, "place_rotation_deg": 0, "min_way_m": 0}
         require_least("tracker.loops", self, **least, training_places=2, min_inliers=15, min_matches=1)
