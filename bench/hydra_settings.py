@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from hydra.core.override_parser.types import Override, Quote, QuotedString
+from hydra.core.override_parser.types import Override
 
 from bench.errors import BenchError
+from bench.override_text import quoted
 
 SEARCH_PATH = "hydra.searchpath"
 """The folders in which configs are looked for beside the bench's own; ``--config-dir FOLDER`` says the same."""
@@ -70,7 +71,7 @@ def configs_in(folders: Sequence[Path], group: str) -> list[str]:
 def as_value(value: object) -> str:
     """Plain data as the value of an override, whatever characters are in it."""
     if isinstance(value, str):
-        return str(QuotedString(value, Quote.single).with_quotes())
+        return quoted(value)
     if isinstance(value, dict):
         return "{" + ",".join(f"{key}:{as_value(each)}" for key, each in value.items()) + "}"
     if isinstance(value, (list, tuple)):

@@ -29,10 +29,13 @@ from bench.saved_config import overrides_of
 from bench.slam.run import run_system
 from bench.sweeps.combinations import plan_combinations, require_writable
 from bench.sweeps.experiment import table_experiments
-from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
+from bench.sweeps.launchers.choice import LauncherChoice, count_of_jobs, split_launcher
 from bench.sweeps.launchers.make import make_runs
 from bench.sweeps.listing import list_plan, list_skipped
 from bench.sweeps.lookup import look_up
+from bench.sweeps.plan import Plan
+from bench.sweeps.search.settings import split_search
+from bench.sweeps.search.trials import BEST_FILE, Search
 from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView
 from bench.tables.collect import collect_row
@@ -44,6 +47,7 @@ _EXAMPLES = """examples:
   bgs-bench run -m seed=0,1,2 system=bgs_slam,bgs_slam_paper
   bgs-bench run -m experiment=ablation dataset.root=DIR seed=0,1,2 --jobs 2
   bgs-bench run -m seed=0,1,2 launcher=slurm hydra.launcher.partition=gpu
+  bgs-bench run -m sweeper=optuna sweeper.metric=psnr_db 'mapper.color_rate=tag(log,interval(1e-3,0.1))'
   bgs-bench run --config-dir conf +experiment=mine               # conf/experiment/mine.yaml
   bgs-bench run --from results/runs/3f2a9c01d4e5 seed=1
 """
@@ -180,18 +184,51 @@ def _failure(error: BaseException, folder: Path) -> str:
     return f"The run failed: {type(error).__name__}: {text} (line {raised.lineno} of {raised.filename}{log_file})"
 
 
-def _multirun(given: list[str], args: argparse.Namespace, console: Console) -> int:
-    """Every combination of the swept values, each in its own folder and process; one that fails stops no other."""
-    overrides, launcher = split_launcher(given, args.jobs)
-    plan = plan_combinations(overrides)
-    rerun = any(planned.config.values["rerun"] for planned in plan.runs)
-    choice = Choice(failed=True, finished=rerun)
+def _is_shown(plan: Plan, choice: Choice, args: argparse.Namespace, console: Console) -> bool:
+    """Print the configs, or what would be made, where that is all that is wanted."""
     if wants_config(args):
         texts = (f"# {each.label}: {each.folder}\n{config_text(each.config, args.package)}" for each in plan.runs)
         print("---\n".join(texts), end="")
-        return 0
-    if args.dry_run:
+    elif args.dry_run:
         list_plan(plan, choice, console)
+    else:
+        return False
+    return True
+
+
+def _search(search: Search, launcher: LauncherChoice, args: argparse.Namespace, console: Console) -> int:
+    """Make the trials of a search; their table, and the best of them."""
+    if _is_shown(Plan((search.first,), (), search.root), Choice(), args, console):
+        if args.dry_run:
+            say(f"then up to {search.config.trials - 1} trials that follow from the scores; {search.folder}", console)
+        return 0
+    try:
+        runs = search.run(launcher, console)
+    except KeyboardInterrupt:
+        say("stopped; the same command resumes from there.", console)
+        return 130
+    folders = [planned.folder for planned in runs if (planned.folder / CONFIG_FILE).is_file()]
+    if folders:
+        print_table([collect_row(folder) for folder in folders], console)
+    best = search.best()
+    if best is None:
+        say(f"no run has {search.metric.path}; see the reasons above", console)
+        return 1
+    say(f"best of {len(runs)}: {search.metric.title} {best.value:g}, {best.run.label}: {best.run.folder}", console)
+    say(f"wrote {search.folder / BEST_FILE}", console)
+    return 0
+
+
+def _multirun(given: list[str], args: argparse.Namespace, console: Console) -> int:
+    """Every combination of the swept values, each in its own folder and process; one that fails stops no other."""
+    overrides, launcher = split_launcher(given, args.jobs)
+    overrides, searched = split_search(overrides)
+    if searched is not None:
+        return _search(Search(overrides, searched), launcher, args, console)
+    plan = plan_combinations(overrides)
+    rerun = any(planned.config.values["rerun"] for planned in plan.runs)
+    choice = Choice(failed=True, finished=rerun)
+    if _is_shown(plan, choice, args, console):
         return 0
     require_writable(plan.root)
     list_skipped(plan, console)

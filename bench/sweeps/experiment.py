@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from bench.config import check_overrides, options_of, plugin_folders
 from bench.errors import BenchError, require_choice
 from bench.hydra_settings import config_folders
+from bench.override_text import hydra_lines
 from bench.tables.named.definitions import Cell, cells
 from bench.tables.named.find import table_files
 from bench.tables.named.found_rows import choose_rows
@@ -21,7 +22,9 @@ def table_experiments(overrides: Sequence[str]) -> list[str]:
     given = [each for each in overrides if each.lstrip("+").startswith(EXPERIMENT)]
     if not given:
         return []
-    own = options_of("experiment", config_folders(check_overrides([each for each in overrides if each not in given])))
+    own = options_of(
+        "experiment", config_folders(check_overrides(hydra_lines([each for each in overrides if each not in given])))
+    )
     return [each for each in given if not set(each.partition("=")[2].split(",")) & set(own)]
 
 

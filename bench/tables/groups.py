@@ -19,6 +19,7 @@ SEEDS = Column("seeds", "Seeds")
 COUNT = Column("n", "n", is_number=True)
 # Settings that the columns of every table of runs show already.
 _SHOWN = ("system", "dataset.name", "stereo.name", "tracker.name")
+_TOLD = ("dataset", "system", "stereo", "tracker")
 # What choosing a system chooses too.
 _OF_A_SYSTEM = ("mapper", "loss")
 _WORDS = {"True": "true", "False": "false", "None": "null"}
@@ -41,8 +42,10 @@ class GroupedRuns:
 
     def label(self, row: Row) -> str:
         """What tells a row from the others: ``stereo=sgbm, mapper.iterations=3``; the run's name where nothing does."""
-        told = [(column.title, row.values.get(column.key)) for column in self.settings]
-        return ", ".join(f"{title}={value}" for title, value in told if value is not None) or str(row.values["run"])
+        differing = [key for key in _TOLD if len({each.values.get(key) for each in self.rows}) > 1]
+        told = [*((key, key) for key in differing), *((column.key, column.title) for column in self.settings)]
+        named = [f"{title}={row.values[key]}" for key, title in told if row.values.get(key) is not None]
+        return ", ".join(named) or str(row.values["run"])
 
     def folders(self) -> list[tuple[str, tuple[tuple[str, Path], ...]]]:
         """Where the runs are: of each row its label, and the seed and the folder of each of its runs."""

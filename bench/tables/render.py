@@ -121,7 +121,8 @@ def _in_digits(column: Column, value: Any) -> str:
     if isinstance(value, int):
         return f"{value:,}" if column.decimals is None else f"{value:.{column.decimals}f}"
     if not isinstance(value, float):
-        return str(value)
+        # A setting that a search has chosen has more digits than anyone reads; a CSV file has them.
+        return f"{float(value):.6g}" if column.is_number and "." in value else str(value)
     # A mean of whole numbers.
     decimals = (0 if abs(value) >= _WHOLE_FROM else 1) if column.decimals is None else column.decimals
     return f"{value:,.{decimals}f}" if column.decimals is None else f"{value:.{decimals}f}"

@@ -1,0 +1,1 @@
+"""Searches with Optuna: what is varied and sought, and the runs that it takes."""
