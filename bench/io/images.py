@@ -36,7 +36,7 @@ _DECODED_AT_ONCE = 32
 
 def describe_files(files: Sequence[Path]) -> str:
     """What a folder holds in place of the images looked for, for example ``"5 .tif, 1 .txt, the first a.tif"``."""
-    counts = Counter(file.suffix or "without extension" for file in files if file.is_file())
+    counts = Counter(file.suffix or "without extension" for file in files)
     shown = ", ".join(f"{count} {suffix}" for suffix, count in counts.most_common(4))
     return f"{shown}, the first {min(file.name for file in files)}" if shown else "no file"
 
@@ -116,10 +116,13 @@ class ImageSequence:
     ``remarks`` says what a user should know of that scale.
     """
 
-    def __init__(self, paths: Sequence[Path]) -> None:
-        """Check all headers; ``BenchError`` names the first image that is damaged or of another size than the first."""
+    def __init__(self, paths: Sequence[Path], whole: Sequence[Path]) -> None:
+        """Check the headers of ``paths``; ``whole`` is the sequence that they are part of, which has the same scale.
+
+        ``BenchError`` names the first image that is damaged or of another size than the first.
+        """
         self.size = require_one_size(paths)
-        self._bits, self.remarks = bits_in_use(paths)
+        self._bits, self.remarks = bits_in_use(whole) if any(map(_is_16_bit, paths)) else (_FULL_BITS, ())
 
     def read(self, path: Path) -> Image:
         """Decode an image of the sequence, as ``read_rgb``."""

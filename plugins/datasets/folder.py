@@ -71,7 +71,8 @@ class Folder(Dataset):
         rows = pairs.left[chosen]
         self._left = [left.files[row] for row in rows]
         self._right = [right.files[row] for row in pairs.right[chosen]]
-        self._images = ImageSequence([path for pair in zip(self._left, self._right, strict=True) for path in pair])
+        chosen_files = [path for pair in zip(self._left, self._right, strict=True) for path in pair]
+        self._images = ImageSequence(chosen_files, [*left.files, *right.files])
         self.camera = _camera(config, self._images.size)
         remarks = [*pairs.remarks, *_about_gaps(left, counted), *self._images.remarks]
         times, told = _times(config, left)
@@ -104,7 +105,7 @@ def _images(side: str, folder: str) -> list[Path]:
     path = Path(folder).expanduser()
     if not path.is_dir():
         raise BenchError(f"dataset.{side}={folder}: this folder does not exist. Give the folder of the {side} images.")
-    files = [file for file in path.iterdir() if not file.name.startswith(".")]
+    files = [file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")]
     images = [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES]
     if not images:
         raise BenchError(

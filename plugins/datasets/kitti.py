@@ -67,7 +67,8 @@ class Kitti(Dataset):
         self._T_left_velodyne = self._check_scans(calibration)
         self._times = self._read_times(folders[0])
         self._poses = self._read_poses(root / "poses" / f"{sequence}.txt")
-        self._images = ImageSequence([side[number] for number in self.numbers for side in (self._left, self._right)])
+        chosen = [side[number] for number in self.numbers for side in (self._left, self._right)]
+        self._images = ImageSequence(chosen, [*self._left.values(), *self._right.values()])
         self.camera = _stereo_camera(calibration, left, right, self._images.size)
         self.remarks = (*self._images.remarks, *self._about_poses())
 
@@ -195,7 +196,7 @@ def _image_folder(folder: Path, camera: int, pair: str) -> Path:
 def _images_by_number(folder: Path) -> dict[int, Path]:
     """PNG and JPEG images whose name is their number, with any number of digits."""
     images: dict[int, Path] = {}
-    files = sorted(file for file in folder.iterdir() if not file.name.startswith("."))
+    files = sorted(file for file in folder.iterdir() if file.is_file() and not file.name.startswith("."))
     for file in files:
         if file.suffix.lower() not in IMAGE_SUFFIXES or not file.stem.isdecimal():
             continue

@@ -76,7 +76,7 @@ class Kitti360(Dataset):
         self.numbers = self._with_poses(asked, config)[: config.first or None]
         _require_right_images(self.numbers, self._left, self._right)
         files = [side / _image(number) for number in self.numbers for side in (self._left, self._right)]
-        self._images = ImageSequence(files)
+        self._images = ImageSequence(files, [*self._left.glob("*.png"), *self._right.glob("*.png")])
         self.remarks = self._images.remarks
         self.camera = calibration.stereo_camera(self._images.size)
         self._times = _times(self._left.parent / "timestamps.txt", self.numbers, there)

@@ -37,7 +37,7 @@ def test_cameras_of_fewer_bits_in_16_bit_files(tmp_path: Path, bits: int) -> Non
     """The darker frame of a sequence and the other camera have the scale of the brightest."""
     deep = GREY.astype(np.uint16) << (bits - 8)
     paths = [save(tmp_path / "a.png", deep), save(tmp_path / "b.png", deep // 16)]
-    images = ImageSequence(paths)
+    images = ImageSequence(paths[1:], paths)
     np.testing.assert_array_equal(images.read(paths[0])[..., 1], GREY)
     np.testing.assert_array_equal(images.read(paths[1])[..., 1], GREY // 16)
     (remark,) = images.remarks
@@ -46,7 +46,7 @@ def test_cameras_of_fewer_bits_in_16_bit_files(tmp_path: Path, bits: int) -> Non
 
 def test_full_16_bits_are_read_by_their_high_byte(tmp_path: Path) -> None:
     path = save(tmp_path / "a.png", GREY.astype(np.uint16) * 257)
-    images = ImageSequence([path])
+    images = ImageSequence([path], [path])
     assert images.remarks == ()
     np.testing.assert_array_equal(images.read(path)[..., 0], GREY)
 
@@ -54,9 +54,9 @@ def test_full_16_bits_are_read_by_their_high_byte(tmp_path: Path) -> None:
 def test_the_file_says_how_many_bits_count(tmp_path: Path) -> None:
     dark = (GREY // 8).astype(np.uint16) << 4
     said = with_sbit(save(tmp_path / "a.png", dark), 12)
-    np.testing.assert_array_equal(ImageSequence([said]).read(said)[..., 0], GREY // 8)
+    np.testing.assert_array_equal(ImageSequence([said], [said]).read(said)[..., 0], GREY // 8)
     full = with_sbit(save(tmp_path / "b.png", GREY.astype(np.uint16) * 257), 12)
-    np.testing.assert_array_equal(ImageSequence([full]).read(full)[..., 0], GREY)
+    np.testing.assert_array_equal(ImageSequence([full], [full]).read(full)[..., 0], GREY)
 
 
 def pictures(tmp_path: Path) -> dict[str, tuple[Path, np.ndarray]]:
@@ -77,7 +77,7 @@ def pictures(tmp_path: Path) -> dict[str, tuple[Path, np.ndarray]]:
 @pytest.mark.parametrize("name", ["palette", "RGBA", "LA", "1 bit"])
 def test_kinds_of_png(tmp_path: Path, name: str) -> None:
     path, truth = pictures(tmp_path)[name]
-    images = ImageSequence([path])
+    images = ImageSequence([path], [path])
     np.testing.assert_array_equal(images.read(path), truth)
     assert images.remarks == ()
 
@@ -96,4 +96,4 @@ def test_orientation_is_left_to_viewers(tmp_path: Path, orientation: int) -> Non
 def test_tiff_called_png_is_refused(tmp_path: Path) -> None:
     Image.fromarray(GREY.astype(np.float32)).save(tmp_path / "a.png", format="TIFF")
     with pytest.raises(BenchError, match=r"a\.png is not a PNG or JPEG image"):
-        ImageSequence([tmp_path / "a.png"])
+        ImageSequence([tmp_path / "a.png"], [])
