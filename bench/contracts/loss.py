@@ -12,6 +12,7 @@ and switch it on with ``loss=[rgb,ssim,geo,my_term] loss.my_term.weight=0.1``.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from bench.contracts.rasterizer import Rendered
-from bench.errors import require_least
+from bench.errors import BenchError, require_least
 from bench.registry import PluginConfig
 from bench.supervision.target import Target
 
@@ -37,6 +38,10 @@ class LossConfig(PluginConfig):
     def __post_init__(self) -> None:
         """Refuse a negative weight; a config with checks of its own calls this one too."""
         require_least(f"loss.{self.name}", self, weight=0)
+
+
+class NotFiniteError(BenchError):
+    """A loss term, or its gradient, is NaN or infinite: a step with it would spoil the map."""
 
 
 @dataclass
@@ -93,10 +98,18 @@ class LossTerm(ABC):
         """Value and gradients for one render."""
 
     def add_to(self, sums: ImageGradients, rendered: Rendered, target: Target) -> float:
-        """Add the weighted gradients for one render to ``sums``; the unweighted value."""
+        """Add the weighted gradients for one render to ``sums``; the unweighted value. ``NotFiniteError`` for gradients
+        that are no numbers."""
         value = self.evaluate(rendered, target)
         for image in ("color", "depth", "alpha"):
-            sums.add(image, getattr(value, f"grad_{image}"), self.config.weight)
+            grad = getattr(value, f"grad_{image}")
+            # Of a value that is no number the sum of the terms tells.
+            if grad is not None and math.isfinite(value.value) and not bool(torch.isfinite(grad).all()):
+                raise NotFiniteError(
+                    f"the loss term {self.config.name} is {value.value:.4g}, but its gradient by the rendered {image} "
+                    "is not finite. Is there a root or a division of what can be 0?"
+                )
+            sums.add(image, grad, self.config.weight)
         return value.value
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from bench.contracts.loss import ImageGradients, LossTerm
+from bench.contracts.loss import ImageGradients, LossTerm, NotFiniteError
 from bench.contracts.rasterizer import Rendered
 from bench.supervision.photometric import photometric
 from bench.supervision.target import Target
@@ -27,7 +28,10 @@ class LossStack:
     def evaluate(
         self, rendered: Rendered, target: Target
     ) -> tuple[dict[str, float], tuple[Tensor | None, Tensor | None, Tensor | None]]:
-        """Unweighted value of each term by name, and the weighted gradients by colour, depth and alpha."""
+        """Unweighted value of each term by name, and the weighted gradients by colour, depth and alpha.
+
+        ``NotFiniteError`` names the first term that is NaN or infinite.
+        """
         values: dict[str, float] = {}
         sums = ImageGradients()
         if self._photometric:
@@ -37,4 +41,10 @@ class LossStack:
                 values[term.config.name] = term.photometric[0] * l1 + term.photometric[1] * (1.0 - ssim)
         for term in self._others:
             values[term.config.name] = term.add_to(sums, rendered, target)
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise NotFiniteError(
+                    f"the loss term {name} is {value}. The map or the term is at fault: see whether it happens without "
+                    f"the term (loss.{name}.weight=0), and with lower rates of the mapper."
+                )
         return values, (sums.color, sums.depth, sums.alpha)

@@ -11,6 +11,7 @@ import numpy as np
 from bench.contracts.dataset import Dataset
 from bench.contracts.mapper import CannotRenderError
 from bench.contracts.tracker import Tracker
+from bench.errors import BenchError
 from bench.io.atomic import atomic_path
 from bench.protocol import Protocol
 from bench.runs.folder import RESOURCES_FILE, VIEWS, RunFolder, View
@@ -62,11 +63,15 @@ def _rendered(system: System, camera: View, number: int, T_world_cam: Float) -> 
     view = PinholeView.of(
         system.dataset.camera, T_world_cam if camera == "left" else T_world_cam @ system.dataset.camera.T_left_right
     )
-    if not system.mapper.needs_depth:
-        return system.mapper.render(view)
-    if camera == "right":
+    if system.mapper.needs_depth and camera == "right":
         raise CannotRenderError("the mapper needs the depth of a view, and stereo gives none of right views")
-    return system.mapper.render(view, _depth_of(system, number))
+    rendered = system.mapper.render(view, *([_depth_of(system, number)] if system.mapper.needs_depth else []))
+    if not np.isfinite(rendered.color).all():
+        raise BenchError(
+            f"{type(system.mapper).__name__}.render gave NaN in the colours of frame {number}, {camera} view: the map "
+            "is spoilt. The log shows the losses of each keyframe."
+        )
+    return rendered
 
 
 def _depth_of(system: System, number: int) -> Map:

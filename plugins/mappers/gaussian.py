@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from bench import registry
-from bench.contracts.loss import LossTerm
+from bench.contracts.loss import LossTerm, NotFiniteError
 from bench.contracts.map_view import MapView
 from bench.contracts.mapper import Mapper
 from bench.contracts.rasterizer import Rasterizer
@@ -137,7 +137,9 @@ class GaussianMapper(Mapper):
         coarse = round(self.config.iterations * self.config.coarse_share)
         values: dict[str, float] = {}
         for iteration in range(self.config.iterations):
-            values = self._iterate(self._choose(number, window), half=iteration < coarse) or values
+            step = f"keyframe {number}, iteration {iteration + 1} of {self.config.iterations}"
+            values = self._iterate(self._choose(number, window), iteration < coarse, step) or values
+        self._require_finite(f"after the iterations of keyframe {number}")
         self._prune()
         psnr_db, events = self._psnr(number), self._events(number)
         return MappingReport(psnr_db, values, events)
@@ -161,10 +163,13 @@ class GaussianMapper(Mapper):
         if not self._keyframes:
             return
         numbers = list(self._keyframes)
-        while self._final_done < self.config.final_iterations * len(numbers):
-            self._iterate(int(self._random.choice(numbers)), half=False)
+        last = self.config.final_iterations * len(numbers)
+        while self._final_done < last:
+            step = f"last optimisation, iteration {self._final_done + 1} of {last}"
+            self._iterate(int(self._random.choice(numbers)), False, step)
             self._final_done += 1
             yield self._events(numbers[-1])
+        self._require_finite("after the last optimisation")
         self._prune()
         yield self._events(numbers[-1])
 
@@ -239,12 +244,16 @@ class GaussianMapper(Mapper):
             return older[int(self._random.integers(len(older)))]
         return newest
 
-    def _iterate(self, number: int, half: bool) -> dict[str, float]:
-        """One render of a keyframe, its losses, and one step of the optimizer."""
+    def _iterate(self, number: int, half: bool, step: str) -> dict[str, float]:
+        """One render of a keyframe, its losses, and one step of the optimizer; an error says which ``step`` it was."""
         target = self._target(number, half)
         view = self._view(number)
         rendered = self._rasterizer.render(self._map.planes, view.halved() if half else view)
-        values, gradients = self._losses.evaluate(rendered, target)
+        try:
+            values, gradients = self._losses.evaluate(rendered, target)
+        except NotFiniteError as error:
+            size = "at half resolution" if half else "at full resolution"
+            raise BenchError(f"{step} (view of frame {number}, {size}): {error}") from error
         by_parameters = self._rasterizer.backward(rendered, *gradients)
         self._optimizer.step(self._map, by_parameters)
         return values
@@ -261,6 +270,15 @@ class GaussianMapper(Mapper):
         depth = depth_to_seed_from(keyframe.depth, target.depth_mask.cpu().numpy(), c.seeding)
         planes, depths = seed_gaussians(keyframe.frame.left, depth, keyframe.sky, unexplained, view, c.seeding)
         self._map.add(number, self._keyframes[number].T_world_cam, planes, depths)
+
+    def _require_finite(self, when: str) -> None:
+        """``BenchError`` that says ``when``, for a map that holds NaN: gradients can be no numbers where losses are."""
+        if not bool(torch.isfinite(self._map.planes).all()):
+            spoilt = int((~torch.isfinite(self._map.planes)).any(dim=0).sum())
+            raise BenchError(
+                f"{when}: {spoilt} of {self.gaussians} Gaussians are not finite. Lower the mapper's rates, or see "
+                "which loss term does it with its weight at 0."
+            )
 
     def _prune(self) -> None:
         """Remove Gaussians below the opacity threshold (paper, "Implementation Details")."""

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
+from bench.contracts.loss import LossConfig, TorchLoss
 from bench.errors import BenchError
 from bench.gaussians.parameters import NamedParameters
 from bench.gaussians.ply import read_ply
 from bench.gaussians.schema import OPACITY_LOGIT
 from bench.gaussians.seeding import SeedingConfig
+from bench.supervision.target import Target
 from bench.types import DepthMap, Keyframe, PinholeView, Trajectory
 from plugins.datasets.street import Street, StreetConfig
 from plugins.losses.geo import GeoConfig, GeoLoss
@@ -179,7 +182,7 @@ def test_update_poses_moves_the_views_that_mapping_learns_from() -> None:
         views.append(view),
         original(planes, view, differentiable),
     )[1]
-    mapper._iterate(0, half=False)
+    mapper._iterate(0, half=False, step="")
     np.testing.assert_allclose(views[0].T_world_cam, corrected, atol=0)
 
 
@@ -192,6 +195,70 @@ def test_a_frame_without_depth_is_survived() -> None:
     assert mapper.gaussians == 0
     mapper.add_keyframe(street()[1][1], [0, 1])
     assert mapper.gaussians > 100
+
+
+@dataclass(frozen=True)
+class BrokenConfig(LossConfig):
+    """``how`` it breaks, after ``good`` evaluations."""
+
+    how: str = "value"
+    good: int = 3
+
+
+class BrokenLoss(TorchLoss):
+    """A user's term that goes wrong after a while: its value, its gradient alone, or both."""
+
+    evaluated = 0
+
+    def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
+        self.evaluated += 1
+        if self.evaluated <= self.config.good:
+            return alpha.mean()
+        # The root has no slope at 0: its gradient is infinite, its value is 0.
+        return torch.sqrt(alpha - alpha.detach()).mean() if self.config.how == "gradient" else alpha.mean() / 0.0
+
+
+@pytest.mark.parametrize(
+    ("how", "good", "said"),
+    [
+        (
+            "value",
+            3,
+            r"keyframe 0, iteration 4 of 5 \(view of frame 0, at full resolution\): the loss term mine is inf",
+        ),
+        (
+            "value",
+            0,
+            r"keyframe 0, iteration 1 of 5 \(view of frame 0, at half resolution\): the loss term mine is inf",
+        ),
+        (
+            "gradient",
+            3,
+            r"keyframe 0, iteration 4 of 5 .* mine is 0, but its gradient by the rendered alpha is",
+        ),
+        ("value", 6, r"last optimisation, iteration 2 of 2 \(view of frame 0, at full resolution\): .* mine is inf"),
+    ],
+)
+def test_a_loss_that_is_no_number_ends_the_run_at_its_step(how: str, good: int, said: str) -> None:
+    mapper = GaussianMapper(GaussianMapperConfig("gaussian", iterations=5, final_iterations=2))
+    losses = [RgbLoss(RgbConfig("rgb")), BrokenLoss(BrokenConfig("mine", how=how, good=good))]
+    mapper.start(street()[0].camera, losses, 0)
+
+    def run() -> None:
+        mapper.add_keyframe(street()[1][0], [0])
+        mapper.finish()
+
+    with pytest.raises(BenchError, match=said):
+        run()
+    assert torch.isfinite(mapper._map.planes).all()
+
+
+def test_a_map_that_is_spoilt_between_two_keyframes_is_no_picture() -> None:
+    mapper = started(iterations=1, final_iterations=0)
+    mapper.add_keyframe(street()[1][0], [0])
+    mapper._map.planes[OPACITY_LOGIT, :3] = torch.nan
+    with pytest.raises(BenchError, match=r"^after the last optimisation: 3 of \d+ Gaussians are not finite\."):
+        mapper.finish()
 
 
 def test_finish_and_render_without_any_keyframe() -> None:

@@ -150,7 +150,7 @@ def test_learning_continues_as_if_nothing_had_moved() -> None:
     start = seen(stayed, trajectory({}))
     for mapper in (stayed, went):
         for k in (3, 1, 2, 0, 3, 2):
-            mapper._iterate(k, half=False)
+            mapper._iterate(k, half=False, step="")
     for first, old, new in zip(start, seen(stayed, trajectory({})), seen(went, moved), strict=True):
         learned, difference = np.abs(old.color - first.color).mean(), np.abs(old.color - new.color).mean()
         assert difference < 0.02 * learned
