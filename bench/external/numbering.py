@@ -51,7 +51,10 @@ def places_of_names(
     times = named.times
     if times is not None and mode == "auto":
         return places_of_times(times, frame_times, tolerance_s, what)
-    numbers = np.array([int(key[-1]) for key in named.keys], dtype=np.int64)
+    try:
+        numbers = np.array([int(key[-1]) for key in named.keys], dtype=np.int64)
+    except OverflowError:
+        raise BenchError(f"{what}: {named.files[-1].name} has too large a number for a frame. Rename it.") from None
     if len(np.unique(numbers)) < len(numbers):
         raise BenchError(f"{what}: the last number is the same in several names. Name the files by their frames alone.")
     return places_of_numbers(numbers, frames, mode, what)

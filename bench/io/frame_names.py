@@ -24,6 +24,8 @@ _EPOCH = ((10**18, Decimal("1e-9")), (10**15, Decimal("1e-6")), (10**12, Decimal
 _STEP = ((10**6, Decimal("1e-9")), (5000, Decimal("1e-6")))
 """From which median step on smaller numbers count ns or us: cameras take 1 to 200 pictures a second, which is 5e6 to
 1e9 ns or 5e3 to 1e6 us, and nobody keeps every 5000th frame."""
+_TOO_LARGE = 2**63
+"""What no frame number is: codes of digits give an order at most."""
 _TOGETHER = 0.25
 """Left and right time stamps belong together up to this share of the time from one frame to the next."""
 
@@ -87,7 +89,7 @@ def in_order(files: Sequence[Path], advice: str = "Keep one of them, or rename i
     order = sorted(range(len(files)), key=lambda at: keys[at])
     sorted_files, sorted_keys = [files[at] for at in order], [keys[at] for at in order]
     _require_unique(sorted_keys, sorted_files, advice)
-    if len(sorted_keys[0]) > 1:
+    if len(sorted_keys[0]) > 1 or sorted_keys[-1][0] >= _TOO_LARGE:
         return NamedFiles(tuple(sorted_files), tuple(sorted_keys), "numbers")
     values = [key[0] for key in sorted_keys]
     unit = _unit(values)

@@ -74,7 +74,7 @@ def read_times(path: Path, images: NamedFiles) -> tuple[Float, tuple[str, ...]]:
         raise BenchError(f"{path}: not every line begins with a time in seconds, one an image.") from None
     rows, remarks = rows_of_images(len(times), images, path, "times")
     times = times[rows]
-    if not (np.diff(times, prepend=-np.inf) > 0).all():
+    if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
         raise BenchError(f"{path}: the times do not increase from image to image. Restore the file.")
     return times * float(seconds_per_unit(times)), remarks
 

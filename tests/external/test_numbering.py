@@ -43,6 +43,7 @@ def test_names_tell_the_number_or_the_time(names: list[str], mode: str, position
         (["a1.png", "mean.png"], r"mean\.png has no number"),
         (["mean.png"], r"mean\.png has no number"),
         (["a_001.png", "b_1.png"], "both have the number 1"),
+        (["1.png", f"{10**30}.png"], "has too large a number for a frame"),
         (["8_1.png", "9_1.png", "9_2.png"], "the last number is the same in several names"),
     ],
 )
