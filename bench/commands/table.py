@@ -13,6 +13,7 @@ from bench.report.terminal import say
 from bench.runs.config_file import RUNS_FOLDER
 from bench.tables.collect import collect_row, find_runs, row_of
 from bench.tables.document.forms import FORMS, form_of, save, text_of
+from bench.tables.groups import by_settings
 from bench.tables.named.find import table_names
 from bench.tables.named.grid import COLUMNS
 from bench.tables.named.records import read_runs
@@ -104,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     given = [path for path in paths if path not in files]
     folders = find_runs(given) if given or not files else []
     rows = [row_of(run) for file in files for run in read_record_file(file).runs]
-    rows += [collect_row(folder) for folder in folders]
+    rows = by_settings([*rows, *(collect_row(folder) for folder in folders)])
     document = runs_document(rows)
     if args.format and not args.out:
         print(text_of(document, args.format, Path()), end="")

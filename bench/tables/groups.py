@@ -78,6 +78,18 @@ def group_runs(rows: Sequence[Row]) -> GroupedRuns:
     return GroupedRuns(tuple(made), tuple(_column(key, made) for key in keys))
 
 
+def by_settings(rows: Sequence[Row]) -> list[Row]:
+    """The rows in the order of the settings in which they differ, numbers by size; other rows stay where they are."""
+    settings = [_settings_of(row.runs[0]) if row.runs else {} for row in rows]
+    keys = _varied([each for each in settings if each])
+
+    def order(place: int) -> list[tuple[bool, float, str]]:
+        values = (settings[place].get(key, "") for key in keys)
+        return [(False, float(text), "") if _looks_like_number(text) else (True, 0.0, text) for text in values]
+
+    return [rows[place] for place in sorted(range(len(rows)), key=order)]
+
+
 def _key(row: Row, settings: Settings) -> Any:
     if not settings or row.runs[0].damage:
         return None
@@ -145,9 +157,11 @@ def _mean_of(rows: Sequence[Row]) -> Row:
     for key in first.values:
         known = [row.values[key] for row in ordered if row.values.get(key) is not None]
         if known and all(is_number(value) for value in known):
-            values[key] = statistics.fmean(known)
+            same = len(set(known)) == 1
+            values[key] = known[0] if same else statistics.fmean(known)
             values[f"{key}{STD}"] = statistics.stdev(known) if len(known) > 1 else None
         else:
             values[key] = " / ".join(dict.fromkeys(str(value) for value in known)) or None
-    values |= {"run": f"{len(rows)} runs", "n": len(rows), "seeds": " ".join(str(run.seed) for run in runs)}
+    values |= {"n": len(rows), "seeds": " ".join(str(run.seed) for run in runs)}
+    values["run"] = " ".join(run.name for run in runs)
     return replace(first, values=values, runs=runs)

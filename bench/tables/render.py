@@ -114,7 +114,9 @@ def shown(column: Column, row: Row) -> str:
     value, spread = row.values.get(column.key), row.values.get(f"{column.key}{STD}")
     if value is None:
         return UNKNOWN
-    return _in_digits(column, value) + ("" if spread is None else f" ± {_in_digits(column, spread)}")
+    return _in_digits(column, value) + (
+        "" if spread is None or isinstance(value, int) else f" ± {_in_digits(column, spread)}"
+    )
 
 
 def _in_digits(column: Column, value: Any) -> str:
@@ -139,7 +141,8 @@ def columns_with_values(rows: Sequence[Row], columns: Sequence[Column]) -> list[
 
 def _row(row: Row, first: Column, others: Sequence[Column]) -> model.Row:
     cells = tuple(Cell(shown(column, row)) for column in others)
-    return model.Row((shown(first, row),), cells, "quiet" if row.is_reference else "ours")
+    name = f"{len(row.runs)} runs" if len(row.runs) > 1 else shown(first, row)
+    return model.Row((name,), cells, "quiet" if row.is_reference else "ours")
 
 
 def _heading(column: Column) -> model.Column:

@@ -54,7 +54,7 @@ def scored(tmp_path: Path) -> Path:
         run.write_frames([{"number": number} | row for number in range(frames)])
         run.write_json("resources.json", {"size": ["points"], "points": 1200 * frames})
         run.set_status("done", "", frames, frames)
-        bgs_bench("evaluate", run.path)
+        bgs_bench("evaluate", run.path, f"plugins=[{folder}]")
     (folder / "odometer.py").unlink()
     return tmp_path / "runs"
 

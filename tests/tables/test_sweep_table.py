@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from fake_runs import config, make_run, metrics
 
+from bench.cli import main
 from bench.tables.collect import Row, collect_row
 from bench.tables.document.forms import text_of
 from bench.tables.groups import group_runs
@@ -80,6 +81,17 @@ def test_only_runs_that_ended_alike_with_different_seeds_are_averaged() -> None:
     assert [(row.values["n"], row.values["status"]) for row in group_runs(rows).rows] == [(2, "done"), (1, "failed")]
     again = [run("d", seed=0), run("e", seed=0)]
     assert [row.values["run"] for row in group_runs(again).rows] == ["d", "e"]
+
+
+def test_the_command_orders_a_folder_by_its_settings(capsys: pytest.CaptureFixture[str]) -> None:
+    """The folders' names, hashes, say nothing; 9 comes before 10."""
+    for name, iterations in (("a", 10), ("b", 9), ("c", 100)):
+        for seed in (0, 1):
+            run(f"{name}{seed}", seed=seed, mapper__iterations=iterations)
+    assert main(["table", "runs"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split("│")[2].strip() for line in lines if "2 runs" in line] == ["9", "10", "100"]
+    assert lines[-1] == "mapper.iterations=100, seed 1: runs/c1"
 
 
 def test_weak_and_lost_frames_stand_beside_the_frames() -> None:
