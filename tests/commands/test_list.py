@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from bench.cli import main
@@ -50,6 +53,31 @@ def test_settings_of_a_run(capsys: pytest.CaptureFixture[str]) -> None:
         assert line in lines
     assert "cache.limit_gb=20.0  (float)" in lines
     assert "protocol.holdout_every=0  (int)" in lines
+
+
+def test_what_to_fetch_is_said_where_a_network_can_not_run_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("BGS_WEIGHTS", str(tmp_path))
+    monkeypatch.setenv("BGS_CACHE", str(tmp_path / "cache"))
+
+    def listed() -> dict[str, str]:
+        assert main(["list", "stereo"]) == 0
+        return {line.split()[1]: " ".join(line.split()[2:]) for line in capsys.readouterr().out.splitlines()}
+
+    lines = listed()
+    assert lines["sgbm"].startswith("available OpenCV")
+    assert lines["onnx"].startswith("needs weights: give stereo.weights=FILE.onnx")
+    assert re.match(
+        r"needs weights: fetch checkpoint/.*, from https://drive.google.com.*kitti2015.pth", lines["anynet"]
+    )
+    clone = "give stereo.checkout=FOLDER, which `git clone https://github.com/Junda24/MonSter` makes"
+    assert lines["monster_k"] == f"needs weights: {clone}, and run `bgs-bench weights get monster_k`"
+    (tmp_path / "anynet").mkdir()
+    (tmp_path / "anynet" / "kitti2015.pth").touch()
+    assert listed()["anynet"].startswith("available AnyNet")
+    assert main(["list", "sky", "u2net"]) == 0
+    assert "\nneeds weights: fetch " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
