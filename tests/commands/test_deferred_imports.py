@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import subprocess
 import sys
@@ -43,6 +44,26 @@ def test_runs_once_when_something_is_read(slow: str) -> None:
     with pytest.raises(AttributeError):
         module.no_such_name  # noqa: B018
     assert module.runs == 1
+
+
+def test_a_part_is_imported_after_the_whole_and_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `import torch.nn.functional` at the top of a plugin: torch.nn crashes where torch was not executed before."""
+    name = f"whole_{tmp_path.name}".replace("-", "_")
+    for folder in (tmp_path / name, tmp_path / name / "part"):
+        folder.mkdir()
+    (tmp_path / name / "__init__.py").write_text(f"order = ['whole']\nimport {name}.part.leaf\n")
+    (tmp_path / name / "part" / "__init__.py").write_text(f"import {name}\n{name}.order.append('part')\n")
+    (tmp_path / name / "part" / "leaf.py").write_text(f"import {name}\n{name}.order.append('leaf')\n")
+    (tmp_path / name / "other.py").write_text(f"import {name}\n{name}.order.append('other')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    defer([name])
+    leaf = importlib.import_module(f"{name}.part.leaf")
+    assert sys.modules[name].order == ["whole", "part", "leaf"]
+    assert leaf is sys.modules[f"{name}.part.leaf"]
+    assert leaf.__spec__ is not None
+    assert leaf.__spec__.origin == leaf.__file__
+    importlib.import_module(f"{name}.other")
+    assert sys.modules[name].order == ["whole", "part", "leaf", "other"]
 
 
 def test_threads_wait_for_the_first(slow: str) -> None:
