@@ -12,7 +12,7 @@ ifneq ($(wildcard ../shared/weights),)
 export BGS_WEIGHTS ?= $(abspath ../shared/weights)
 endif
 
-.PHONY: install run test quick check bench sanitize clean
+.PHONY: install run test quick check fuzz bench sanitize clean
 
 install: $(STAMP)
 
@@ -36,6 +36,10 @@ check: install
 	$(BIN)/ruff check bench plugins tests tools
 	$(BIN)/ruff format --check bench plugins tests tools
 	$(BIN)/mypy
+
+# A thousand spoilt files of all kinds; `make test` tries a hundred.
+fuzz: install
+	BGS_FUZZ=1000 $(BIN)/python -m pytest tests/fuzzing
 
 bench: install
 	OMP_WAIT_POLICY=passive $(BIN)/python -m pytest tests/performance -s

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 from bench.deferred_imports import defer
 from bench.errors import BenchError
-from bench.plain_text import plain_line
 from bench.terminal import output_error, print_anywhere, tell
 
 _NOBODY_READS = 141  # 128 + SIGPIPE, as other programs end then
@@ -47,7 +46,7 @@ def _code_of(args: argparse.Namespace) -> int:
         code: int = args.run(args)
         return code
     except BenchError as error:
-        tell(plain_line(str(error)))
+        tell(str(error))
         return error.exit_code
     except KeyboardInterrupt:
         tell("interrupted; what was done is in the run folder")

@@ -7,6 +7,12 @@ import contextlib
 import os
 import sys
 import unicodedata
+from typing import TYPE_CHECKING
+
+from bench.plain_text import plain_line
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 _PLAIN = {
     **{
@@ -46,9 +52,14 @@ def print_anywhere() -> None:
 
 
 def tell(line: str) -> None:
-    """Print a line of the program's own on standard error, if that takes it."""
+    """Print a line of the program's own on standard error, as plain text, if that takes it."""
     with contextlib.suppress(OSError):
-        print(f"bgs-bench: {line}", file=sys.stderr, flush=True)
+        print(f"bgs-bench: {plain_line(line)}", file=sys.stderr, flush=True)
+
+
+def say(line: str, console: Console) -> None:
+    """Print a line of plain text, which only the terminal breaks: no markup, colours or emoji codes."""
+    console.print(plain_line(line), markup=False, highlight=False, emoji=False, soft_wrap=True)
 
 
 def output_error() -> OSError | None:

@@ -16,9 +16,9 @@ from bench.evaluation.run_evaluators import evaluate_run
 from bench.evaluation.saved_run import SavedRunFolder
 from bench.override_text import hydra_lines
 from bench.report.progress import scoring_progress
-from bench.report.terminal import say
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
+from bench.terminal import say
 
 _EXAMPLES = """A run keeps the protocol that it was made with: under another one, or with other evaluators, its scores
 go to a run folder of their own beside it, with links to the same pictures.

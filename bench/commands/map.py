@@ -20,8 +20,8 @@ from bench.gaussians.parameters import NamedParameters
 from bench.io.atomic import write_image
 from bench.io.frame_range import describe
 from bench.plugin_config import plugin_config_from
-from bench.report.terminal import say
 from bench.runs.folder import color_to_8bit
+from bench.terminal import say
 from bench.types import Image, PinholeView
 
 _EXAMPLES = """examples:

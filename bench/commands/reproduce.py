@@ -13,7 +13,6 @@ from rich.console import Console
 from bench.commands.hydra_flags import add_hydra_flags, given_overrides
 from bench.config import check_overrides, plugin_folders
 from bench.override_text import hydra_lines
-from bench.report.terminal import say
 from bench.runs.config_file import CONFIG_FILE
 from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
 from bench.sweeps.launchers.make import make_runs
@@ -30,6 +29,7 @@ from bench.tables.named.records import read_runs
 from bench.tables.named.table import fill_table
 from bench.tables.records.file import SUFFIX
 from bench.tables.records.record import VIEW_GROUPS, RunRecord
+from bench.terminal import say
 
 _EXAMPLES = """examples:
   bgs-bench reproduce ablation dataset.root=DIR

@@ -19,7 +19,6 @@ from bench.commands.hydra_flags import add_config_flags, add_hydra_flags, config
 from bench.config import RunConfig, compose_run
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
-from bench.report.terminal import say
 from bench.runs.config_file import CONFIG_FILE, RUNS_FOLDER
 from bench.runs.folder import LOG_FILE, METRICS_FILE
 from bench.runs.lock import only_one
@@ -40,6 +39,7 @@ from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView
 from bench.tables.collect import collect_row
 from bench.tables.render import print_table
+from bench.terminal import say
 
 _EXAMPLES = """examples:
   bgs-bench run

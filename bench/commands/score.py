@@ -19,9 +19,9 @@ from bench.external.score import score_folder
 from bench.external.settings import AXES, CONVENTIONS, NUMBERS, STATES
 from bench.override_text import quoted
 from bench.report.progress import scoring_progress
-from bench.report.terminal import say
 from bench.tables.collect import Column, Row, about_lost_frames, collect_row, static_camera_of
 from bench.tables.render import print_table
+from bench.terminal import say
 
 COLUMNS = (
     Column("run", "Trajectory"),

@@ -18,7 +18,6 @@ from bench.errors import BenchError
 from bench.evaluation.stereo_backbone import require_truth
 from bench.evaluation.stereo_process import Broken, score_in_process
 from bench.plugin_config import plugin_config_from
-from bench.report.terminal import say
 from bench.runs.config_file import read_config
 from bench.tables.collect import find_runs
 from bench.tables.document.csv_text import data_as_csv
@@ -26,6 +25,7 @@ from bench.tables.document.forms import form_of, save, text_of
 from bench.tables.document.model import Data
 from bench.tables.render import print_table, runs_document
 from bench.tables.stereo import IMAGE_COLUMNS, STEREO_COLUMNS, Scored, image_table, stereo_rows
+from bench.terminal import say
 
 _EXAMPLES = """examples:
   bgs-bench stereo-eval stereo=psmnet,sgbm dataset=kitti2015 dataset.root=DIR

@@ -9,7 +9,6 @@ from typing import Any
 from rich.console import Console
 
 from bench.errors import BenchError, did_you_mean
-from bench.report.terminal import say
 from bench.runs.config_file import RUNS_FOLDER
 from bench.tables.collect import collect_row, find_runs, row_of
 from bench.tables.document.forms import FORMS, form_of, save, text_of
@@ -21,6 +20,7 @@ from bench.tables.named.table import make_table
 from bench.tables.records.file import SUFFIX, is_record_file, read_record_file, record_text
 from bench.tables.records.record import VIEW_GROUPS
 from bench.tables.render import print_table, runs_document
+from bench.terminal import say
 
 _ABOUT = f"""The named tables are NAMES; without a name: one row per run.
 A table of yours is FOLDER/table/NAME.yaml, with its published numbers beside it as CSV; give --plugins FOLDER.

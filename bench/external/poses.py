@@ -185,8 +185,10 @@ def _checked(poses: Any, path: Path) -> Float:
     full[:, : T.shape[1]] = T
     _require_finite(full, path)
     R = full[:, :3, :3]
-    wrong = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) > _ROTATION_TOLERANCE
-    wrong |= (np.linalg.det(R) < 0) | (np.abs(full[:, 3] - [0, 0, 0, 1]).max(axis=1) > 1e-6)
+    with np.errstate(all="ignore"):  # of numbers without measure
+        wrong = ~(np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) <= _ROTATION_TOLERANCE)
+        wrong |= ~(np.linalg.det(R) > 0)
+    wrong |= np.abs(full[:, 3] - [0, 0, 0, 1]).max(axis=1) > 1e-6
     if wrong.any():
         raise BenchError(
             f"{path}, pose {int(np.argmax(wrong))} (from 0) is no rigid motion [R t; 0 0 0 1]. Write rotations without "

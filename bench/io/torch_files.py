@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tarfile
 import warnings
 import zipfile
 from pathlib import Path
@@ -22,6 +23,10 @@ def load_tensors(path: Path) -> Any:
     import torch  # it takes a while to load, and few commands need it
 
     with open_plain(path, MOST_BYTES) as file:
+        if tarfile.is_tarfile(file):
+            # torch's reader of its oldest format would unpack it.
+            raise ValueError("it is a tar archive")
+        file.seek(0)
         if zipfile.is_zipfile(file):
             _require_stored(file.seek(0, 2), zipfile.ZipFile(file))
     with warnings.catch_warnings():

@@ -33,8 +33,9 @@ def read_kitti_poses(path: Path | str) -> Float:
     T = np.tile(np.eye(4), (int(known.sum()), 1, 1))
     T[:, :3] = table[known].reshape(-1, 3, 4)
     R = T[:, :3, :3]
-    wrong = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) > _ROTATION_TOLERANCE
-    wrong |= np.linalg.det(R) < 0
+    with np.errstate(all="ignore"):  # of numbers without measure
+        wrong = ~(np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) <= _ROTATION_TOLERANCE)
+        wrong |= ~(np.linalg.det(R) > 0)
     if wrong.any():
         line = lines[int(np.flatnonzero(known)[np.argmax(wrong)])]
         raise BenchError(

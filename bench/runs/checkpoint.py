@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import logging
 import math
-import pickle
 import shutil
 import time
 from collections.abc import Callable
@@ -20,8 +19,9 @@ from typing import Any
 
 import torch
 
-from bench.errors import BenchError
+from bench.errors import BenchError, first_line
 from bench.io.atomic import TEMPORARY_PATTERN, atomic_path
+from bench.io.torch_files import load_tensors
 
 CHECKPOINT_FOLDER = "checkpoint"
 _FILE = "state.pt"
@@ -90,12 +90,12 @@ class Checkpoints:
         if not path.is_file():
             return None
         try:
-            content = torch.load(path, map_location="cpu", weights_only=True)
+            content = load_tensors(path)
             fits = content["fingerprint"] == self._fingerprint
             told = json.loads(content["told"])
             snapshot = Snapshot(**{name: content[name] for name in _AS_THEY_ARE}, **told)
-        except (OSError, EOFError, RuntimeError, KeyError, TypeError, ValueError, pickle.UnpicklingError) as error:
-            log.warning("the checkpoint in %s is damaged (%s); the run begins anew", self._folder, error)
+        except Exception as error:  # the unpickler raises whatever the damage leads to
+            log.warning("the checkpoint in %s is damaged (%s); the run begins anew", self._folder, first_line(error))
             self.remove()
             return None
         if not fits:

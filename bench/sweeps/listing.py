@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from bench.report.terminal import say
 from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import Plan
 from bench.sweeps.sweep import Choice
+from bench.terminal import say
 
 
 def list_plan(plan: Plan, choice: Choice, console: Console) -> None:

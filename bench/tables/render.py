@@ -7,13 +7,13 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.report.terminal import say
 from bench.tables.collect import Column, Row, columns_of
 from bench.tables.document import model
 from bench.tables.document.model import UNKNOWN, Cell, Data, Document
 from bench.tables.document.terminal import print_document
 from bench.tables.groups import COUNT, SEEDS, STD, GroupedRuns, group_runs
 from bench.tables.static_camera import NAME, static_camera_rows
+from bench.terminal import say
 
 # Runs that have little in common differ in dozens of settings; a CSV file has them all.
 _MOST_SETTINGS = 10

@@ -206,3 +206,12 @@ def test_a_full_disk_hides_no_crash(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert found.progress == ("failed" if sent == signal.SIGABRT else "interrupted")
     assert found.reason.startswith(f"ended by signal {int(sent)} (")
     assert "No space left on device" in found.reason
+
+
+def test_a_run_takes_no_module_from_the_current_folder(tmp_path: Path) -> None:
+    (tmp_path / "json.py").write_text("open('proof', 'w').close()\n")
+    folder = tmp_path / "run"
+    claim = Claim.attempt(folder)
+    assert claim is not None
+    child.Child(Job("run", folder, tmp_path, ("-S", "-c", "import json")), claim, dict(os.environ)).outcome()
+    assert not (tmp_path / "proof").exists()

@@ -9,8 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.plain_text import plain_line
-from bench.report.terminal import say
 from bench.tables.document.model import Column, Document
+from bench.terminal import say
 
 # Long names of methods are broken, so that the six sequences of a main table fit 160 columns.
 _NAME_WIDTH = 20

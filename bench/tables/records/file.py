@@ -55,7 +55,9 @@ def record_text(kept: KeptRuns) -> str:
         entry |= {key: without(entry[key], common[key]) for key in _SHARED}
     lines = [f'"{key}": {json.dumps(value)},' for key, value in _head(kept).items()]
     lines.append(f'"common": {_one_line(common)},')
-    return "\n".join(["{", *lines, '"runs": [', ",\n".join(_one_line(entry) for entry in entries), "]", "}"]) + "\n"
+    text = "\n".join(["{", *lines, '"runs": [', ",\n".join(_one_line(entry) for entry in entries), "]", "}"]) + "\n"
+    # Half a surrogate pair, which JSON can name and no file can hold.
+    return text.encode(errors="replace").decode()
 
 
 def lead_to(kept: KeptRuns, file: Path) -> KeptRuns:

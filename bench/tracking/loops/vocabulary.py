@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from bench.errors import BenchError
+from bench.errors import BenchError, first_line
 from bench.tracking.features import Descriptors, Ints
 from bench.tracking.matching import hamming
 from bench.types import Float, Mask
@@ -100,8 +99,10 @@ def load(path: Path) -> Vocabulary:
                 raise BenchError(f"The vocabulary {path} has the format '{file['format']}', not '{_FORMAT}'. {advice}")
             branching, depth = (int(number) for number in file["shape"])
             vocabulary = _checked_tree(file["parent"], file["centroid"], file["idf"], branching, depth)
-    except (ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, zipfile.BadZipFile) as error:
-        raise BenchError(f"{path} is no vocabulary, or a damaged one ({error}). {advice}") from error
+    except BenchError:
+        raise
+    except Exception as error:  # damage leads zip and its decoders to any
+        raise BenchError(f"{path} is no vocabulary, or a damaged one ({first_line(error)}). {advice}") from error
     return vocabulary
 
 
