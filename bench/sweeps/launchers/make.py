@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from bench.io.file_lock import has_locks
-from bench.report.terminal import say
 from bench.sweeps.child import environment_of
 from bench.sweeps.launchers.choice import BASIC, LauncherChoice
 from bench.sweeps.launchers.gpus import gpus_of_this_machine
@@ -18,6 +17,7 @@ from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import Plan
 from bench.sweeps.sweep import Choice, Sweep
 from bench.sweeps.view import SweepView
+from bench.terminal import say
 
 
 def make_runs(plan: Plan, launcher: LauncherChoice, choice: Choice, view: SweepView) -> None:
