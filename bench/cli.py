@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from bench.deferred_imports import defer
 from bench.errors import BenchError
@@ -32,6 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = _code_of(_parsed(list(sys.argv[1:] if arguments is None else arguments)))
     except SystemExit as error:  # it has printed its help, or what it does not take
         code, by_argparse = 0, error
+    except OSError as error:
+        return _without_output(error, 1)
     lost = output_error()
     if lost is not None:
         return _without_output(lost, code)
@@ -51,8 +54,10 @@ def _code_of(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         tell("interrupted; what was done is in the run folder")
         return 130
+    except BrokenPipeError as error:
+        return _without_output(error, 1)
     except OSError as error:
-        lost = output_error()
+        lost = None if error.filename else output_error(probe=True)
         if lost is not None:
             return _without_output(lost, 1)
         where = f"{error.filename}: " if error.filename else ""
@@ -68,15 +73,21 @@ def _code_of(args: argparse.Namespace) -> int:
 def _without_output(lost: OSError, code: int) -> int:
     """The exit code where standard output takes nothing more; quiet where its reader has left (``| head``)."""
     if isinstance(lost, BrokenPipeError):
+        output_error()
         return _NOBODY_READS
     tell(f"Can't write to standard output: {lost.strerror}. What was printed is not complete.")
     return code or 1
 
 
+class _Parser(argparse.ArgumentParser):
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """As argparse does, which does not tell when that fails."""
+        if message and (file or sys.stderr) is not None:
+            (file or sys.stderr).write(message)
+
+
 def _parsed(given: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors."
-    )
+    parser = _Parser(prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors.")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     # All of them import torch and more, which takes seconds; the one that is meant may need little of that.
     for command in given[:1] if given and given[0] in _COMMANDS else _COMMANDS:

@@ -62,14 +62,18 @@ def say(line: str, console: Console) -> None:
     console.print(plain_line(line), markup=False, highlight=False, emoji=False, soft_wrap=True)
 
 
-def output_error() -> OSError | None:
+def output_error(probe: bool = False) -> OSError | None:
     """Why standard output takes nothing more (a pipe whose reader has left, a full device), or None where it does.
 
-    What it did not take is then dropped, so that the interpreter does not try again when it ends.
+    What it did not take is then dropped, so that the interpreter does not try again when it ends. ``probe`` writes an
+    empty line to see, where nothing may be left that waits to be written.
     """
+    if sys.stdout is None:
+        return None
     try:
-        if sys.stdout is not None:
-            sys.stdout.flush()
+        if probe:
+            sys.stdout.write("\n")
+        sys.stdout.flush()
     except OSError as error:
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), sys.stdout.fileno())

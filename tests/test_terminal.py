@@ -14,8 +14,8 @@ from bench.errors import BenchError
 from bench.terminal import print_anywhere
 
 
-def stream(file: io.BufferedIOBase, encoding: str) -> io.TextIOWrapper:
-    return io.TextIOWrapper(file, encoding=encoding, errors="strict", write_through=False)
+def stream(file: io.BufferedIOBase, encoding: str, at_once: bool = False) -> io.TextIOWrapper:
+    return io.TextIOWrapper(file, encoding=encoding, errors="strict", write_through=at_once)
 
 
 @pytest.mark.parametrize(
@@ -43,11 +43,12 @@ def test_accents_go_before_letters_do(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("arguments", [["list"], ["--help"], ["list", "stereo", "sgbm"]], ids=" ".join)
+@pytest.mark.parametrize("at_once", [False, True])
 def test_a_full_device_is_one_line(
-    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    arguments: list[str], at_once: bool, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with open("/dev/full", "wb") as full:
-        monkeypatch.setattr(sys, "stdout", stream(full, "utf-8"))
+    with open("/dev/full", "wb", buffering=0 if at_once else -1) as full:  # as with PYTHONUNBUFFERED
+        monkeypatch.setattr(sys, "stdout", stream(full, "utf-8", at_once))
         assert cli.main(arguments) == 1
         sys.stdout.flush()  # what the interpreter does at its end
     said = capfd.readouterr().err
@@ -57,13 +58,14 @@ def test_a_full_device_is_one_line(
 
 
 @pytest.mark.parametrize("arguments", [["list"], ["--help"]], ids=" ".join)
+@pytest.mark.parametrize("at_once", [False, True])
 def test_a_reader_that_has_left_is_no_error(
-    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    arguments: list[str], at_once: bool, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     reader, writer = os.pipe()
     os.close(reader)
-    with os.fdopen(writer, "wb") as pipe:
-        monkeypatch.setattr(sys, "stdout", stream(pipe, "utf-8"))
+    with os.fdopen(writer, "wb", buffering=0 if at_once else -1) as pipe:
+        monkeypatch.setattr(sys, "stdout", stream(pipe, "utf-8", at_once))
         assert cli.main(arguments) == 141
         sys.stdout.flush()
     assert capfd.readouterr().err == ""

@@ -118,7 +118,7 @@ nb::tuple pair_rows(const Rows& left_xy, const Ints& left_octave, const Bits& le
         for (size_t j = 0; j < row.size(); ++j) last = std::max(last, args.right.xy[2 * j + 1]);
         require(last < 32000.0, "keypoints must lie inside an image");
         args.rows = static_cast<int>(last) + 1;
-        for (size_t j = 0; j < row.size(); ++j) row[j] = static_cast<int32_t>(std::max(args.right.xy[2 * j + 1], 0.0));
+        for (size_t j = 0; j < row.size(); ++j) row[j] = static_cast<int32_t>(std::max(0.0, args.right.xy[2 * j + 1]));  // NaN becomes 0
         const bgs::CellIndex index(row, args.rows);
         args.row_start = index.start.data(), args.by_row = index.order.data();
         args.best_right = right.data(), args.best_distance = distance.data();
@@ -178,8 +178,8 @@ nb::tuple match_boxes(const Rows& uv, const Doubles& radius, const Doubles& octa
         args.cells_x = static_cast<int>(width / args.cell) + 1, args.cells_y = static_cast<int>(height / args.cell) + 1;
         std::vector<int32_t> cell(count);
         for (size_t j = 0; j < count; ++j)
-            cell[j] = static_cast<int32_t>(std::max(args.keypoints.xy[2 * j + 1], 0.0) / args.cell) * args.cells_x +
-                      static_cast<int32_t>(std::max(args.keypoints.xy[2 * j], 0.0) / args.cell);
+            cell[j] = static_cast<int32_t>(std::max(0.0, args.keypoints.xy[2 * j + 1]) / args.cell) * args.cells_x +
+                      static_cast<int32_t>(std::max(0.0, args.keypoints.xy[2 * j]) / args.cell);
         const bgs::CellIndex index(cell, args.cells_x * args.cells_y);
         args.cell_start = index.start.data(), args.by_cell = index.order.data();
         args.best_keypoint = keypoint.data(), args.best_distance = distance.data();
