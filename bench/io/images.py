@@ -26,8 +26,6 @@ _JPEG_END = b"\xff\xd9"
 _JPEG_SIZE_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # Encoders may pad a file behind its end marker, so the marker is looked for in the last bytes.
 _TAIL_BYTES = 64
-# EXIF's turn of a picture is for people who look at it: the calibration is of the pixels as they are stored.
-_AS_STORED = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
 _FULL_BITS = 16
 # Bits of the cameras that write 16-bit files; 8 is that of files converted from 8 bits.
 _CAMERA_BITS = (8, 10, 12, 14)
@@ -160,8 +158,13 @@ def bits_in_use(paths: Sequence[Path]) -> tuple[int, tuple[str, ...]]:
     )
 
 
+def _as_stored() -> int:
+    """EXIF's turn of a picture is for people who look at it: the calibration is of the pixels as they are stored."""
+    return int(cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
 def _largest_value(path: Path) -> int:
-    stored = cv2.imdecode(np.fromfile(path, dtype=np.uint8), _AS_STORED | cv2.IMREAD_ANYDEPTH)
+    stored = cv2.imdecode(np.fromfile(path, dtype=np.uint8), _as_stored() | cv2.IMREAD_ANYDEPTH)
     # A damaged image is told when its frame is read.
     return 0 if stored is None else int(stored.max())
 
@@ -185,7 +188,7 @@ def read_rgb(path: Path, size: tuple[int, int], bits: int = _FULL_BITS) -> Image
     Alpha is left out, EXIF's orientation is not applied. Raises ``BenchError`` on damage and on another size.
     """
     image_size(path)
-    flags = _AS_STORED if bits == _FULL_BITS else _AS_STORED | cv2.IMREAD_ANYDEPTH
+    flags = _as_stored() if bits == _FULL_BITS else _as_stored() | cv2.IMREAD_ANYDEPTH
     with reading(path, "can't be read as an image", "Copy or download it again."):
         # File bytes are read here and not by OpenCV, which prints its own warnings about files that it can't open.
         image = cv2.imdecode(np.frombuffer(read_plain(path, _MOST_BYTES), np.uint8), flags)
