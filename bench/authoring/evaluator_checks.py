@@ -60,6 +60,7 @@ def _write_run(folder: RunFolder, dataset: Any, complete: bool) -> None:
     numbers = list(dataset.numbers[:_FRAMES])
     state = "done" if complete else "interrupted"
     truth = dataset.ground_truth()
+    truth = truth if truth is not None and len(truth) == len(dataset) else None
     poses = np.tile(np.eye(4), (_FRAMES, 1, 1)) if truth is None else truth.T_world_cam[:_FRAMES].copy()
     times, rows = [], []
     for position, number in enumerate(numbers):

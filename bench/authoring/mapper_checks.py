@@ -49,7 +49,7 @@ class Subject:
         truth = self.dataset.ground_truth()
         found = []
         for k in range(_KEYFRAMES):
-            T = np.eye(4) if truth is None else truth.T_world_cam[k]
+            T = np.eye(4) if truth is None or len(truth) < len(self.dataset) else truth.T_world_cam[k]
             depth = self.dataset.true_depth(k)
             if depth is None:
                 depth = self.dataset.lidar_depth(k)
