@@ -37,7 +37,11 @@ class _WholeFirst(MetaPathFinder):
             return None
         _execute(whole)
         part = sys.modules.get(fullname)
-        return None if part is None else spec_from_loader(fullname, _Imported(part))
+        if part is None:
+            return None
+        # The import system goes on with what a module that has appeared meanwhile says of itself.
+        part.__spec__ = spec_from_loader(fullname, _Imported(part))
+        return part.__spec__
 
 
 class _Imported(Loader):
