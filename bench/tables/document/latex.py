@@ -7,47 +7,52 @@ import re
 from bench.tables.document.latex_text import latex_text
 from bench.tables.document.model import Cell, Column, Document
 
-# Of the page's height, what a table and its notes may take: a caption of 500 letters takes an eighth of it on a
-# journal's page of two columns, a sixth on LaTeX's own narrow one.
-_HEIGHT = "0.78"
-
 
 def as_latex(document: Document) -> str:
     r"""ASCII that needs ``\usepackage{booktabs}``, and ``\usepackage{graphicx}`` for a document with a title.
 
-    A document with a title is a ``table*`` that fits its page, in width and with its notes in height: its first note is
-    in the caption, the others below. One without is a ``tabular`` for a float of the author's, its notes in comments
-    above.
+    A document with a title is a ``table*`` that fits its page, in width and in height: its first note is in the
+    caption, the others are below or, where the page has no room for them, in the text that follows. One without is a
+    ``tabular`` for a float of the author's, its notes in comments above.
     """
     if not document.title:
         comments = [f"% {latex_text(note)}" for note in document.notes]
         return "\n".join([*comments, *_tabular(document)]) + "\n"
     first, *others = document.notes or ("",)
+    title = latex_text(document.title)
     lines = [
         r"% needs \usepackage{booktabs,graphicx}",
+        rf"\long\def\BenchCaption{{\textbf{{{title}.}} {latex_text(first)}}}%",
+        # One paragraph: the notes of a main table would not fit its page as lines of their own.
+        r"\long\def\BenchNotes{%",
+        *(latex_text(note) for note in others),
+        r"}%",
+        r"\gdef\BenchNotesBelow{}%",
         r"\begin{table*}[p]",
         r"\centering",
-        rf"\caption{{\textbf{{{latex_text(document.title)}.}} {latex_text(first)}}}",
+        r"\caption{\BenchCaption}",
         rf"\label{{tab:{re.sub(r'[^A-Za-z0-9_.-]', '-', document.name)}}}",
         r"\par\medskip",
         r"\sbox0{\small\setlength{\tabcolsep}{4pt}%",
         *_tabular(document, "%"),
         r"}%",
-        # Shrunk only where it would stand out of the text, first to its width, ...
+        # Four lines for its number and the spaces above and below it.
+        r"\sbox6{\parbox{\textwidth}{\BenchCaption}}%",
+        r"\edef\BenchRoom{\the\dimexpr\textheight-\ht6-\dp6-4\baselineskip\relax}%",
+        # Shrunk only where it would stand out of the text: to its width, ...
         r"\sbox2{\ifdim\wd0>\textwidth\resizebox{\textwidth}{!}{\usebox0}\else\usebox0\fi}%",
-        r"\sbox4{\begin{minipage}{\textwidth}\centering\usebox2",
+        r"\sbox4{\begin{minipage}{\textwidth}\scriptsize\BenchNotes\end{minipage}}%",
+        # ... and to the height that caption and notes leave. Long notes follow in the text rather than shrink it.
+        r"\ifdim\dimexpr\ht2+\dp2+\ht4+\dp4\relax>\BenchRoom\ifdim\dimexpr(\ht4+\dp4)*4\relax>\BenchRoom",
+        rf"\gdef\BenchNotesBelow{{\par\noindent{{\scriptsize\textbf{{{title}:}} \BenchNotes\par}}}}\sbox4{{}}\fi\fi",
+        r"\edef\BenchRoom{\the\dimexpr\BenchRoom-\ht4-\dp4\relax}%",
+        r"\ifdim\dimexpr\ht2+\dp2\relax>\BenchRoom",
+        r"\resizebox*{!}{\BenchRoom}{\usebox2}\else\usebox2\fi",
+        r"\par\smallskip\usebox4",
+        r"\end{table*}",
+        r"\BenchNotesBelow",
     ]
-    if others:
-        # One paragraph: the notes of a main table would not fit its page as lines of their own.
-        lines += [r"\par\smallskip\raggedright\scriptsize"]
-        lines += [latex_text(note) for note in others]
-    lines += [
-        r"\end{minipage}}%",
-        # ... then, with its notes, to the height that the caption leaves.
-        rf"\ifdim\dimexpr\ht4+\dp4\relax>{_HEIGHT}\textheight",
-        rf"\resizebox*{{!}}{{{_HEIGHT}\textheight}}{{\usebox4}}\else\usebox4\fi",
-    ]
-    return "\n".join([*lines, r"\end{table*}"]) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 def _tabular(document: Document, end: str = "") -> list[str]:
