@@ -52,9 +52,11 @@ def next_commands(kind: str, name: str, place: Place) -> list[str]:
     chosen = f"{kind}={name}"
     # Of losses and evaluators a run has several; the new one joins those of the default system.
     used = {"loss": f"'loss=[rgb,ssim,geo,{name}]'", "evaluator": f"'evaluator=[ate,image,{name}]'"}.get(kind, chosen)
+    row = [f"bgs-bench reproduce backbones {chosen}{folder} dataset.root=KITTI"] if kind == "stereo" else []
     return [
         f"bgs-bench check-plugin {chosen}{folder}",
         f"bgs-bench run {used}{folder}",
+        *row,
         f"python -m pytest {shlex.quote(_shown(place.test))}",
     ]
 

@@ -26,6 +26,7 @@ def test_from_nothing_to_a_row_of_the_table(tmp_path: Path) -> None:
         "wrote mine/row_net.py\nwrote mine/tests/test_row_net_stereo.py\nnext:\n"
         "  bgs-bench check-plugin stereo=row_net 'plugins=[mine]'\n"
         "  bgs-bench run stereo=row_net 'plugins=[mine]'\n"
+        "  bgs-bench reproduce backbones stereo=row_net 'plugins=[mine]' dataset.root=KITTI\n"
         "  python -m pytest mine/tests/test_row_net_stereo.py\n"
     )
     before = (tmp_path / "mine" / "row_net.py").read_bytes()
