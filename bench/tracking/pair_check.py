@@ -108,16 +108,12 @@ def fault_of_pair(matches: PairMatches, camera: StereoCamera) -> str | None:
     agree = left_over < _AGREE_PX
     if agree.mean() < _AGREE:
         return _different(f"only {agree.mean():.0%} of {len(matches)} matched corners agree on how the images lie")
-    negative = float((matches.disparity[agree] < -0.5).mean())
-    if negative > _EXCHANGED:
-        return (
-            f"left and right images seem to be swapped: {negative:.0%} of {int(agree.sum())} matched corners have a "
-            "negative disparity. Swap the two cameras in the data set."
-        )
+    # Where the moments differ the other fits mean nothing, so that is asked first.
     return (
         _another_moment(matches, design)
-        or _unrectified(design, fit, len(matches))
         or _irregular(float(np.median(left_over)), len(matches))
+        or _exchanged(matches.disparity[agree])
+        or _unrectified(design, fit, len(matches))
     )
 
 
@@ -142,6 +138,16 @@ def _another_moment(matches: PairMatches, design: Float) -> str | None:
         f"the right images seem to be taken about {abs(late):.1f} frames {'later' if late > 0 else 'earlier'} than the "
         f"left ones: the rows of {len(flow)} matched corners are off by that share of the motion between frames. Check "
         "that the images of a pair are of the same moment."
+    )
+
+
+def _exchanged(disparity: Float) -> str | None:
+    negative = float((disparity < -0.5).mean())
+    if negative < _EXCHANGED:
+        return None
+    return (
+        f"left and right images seem to be swapped: {negative:.0%} of {len(disparity)} matched corners have a negative "
+        "disparity. Swap the two cameras in the data set."
     )
 
 
