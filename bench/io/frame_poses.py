@@ -86,11 +86,13 @@ def rows_of_images(
     count, numbers = len(images.files), images.numbers
     if lines == count:
         return np.arange(count), ()
-    if numbers is not None and numbers[-1] < lines:
+    if numbers is not None and numbers[-1] < lines and numbers[0] != 1:
         return numbers, (
             f"{path.name} has {lines} {what} for {count} images: line k (from 0) is taken for image number k",
         )
     named = "names without a number" if numbers is None else f"numbers {numbers[0]} to {numbers[-1]} in their names"
+    if numbers is not None and numbers[0] == 1:
+        named += ", whose first may be that of the first line or of the second"
     raise BenchError(
         f"{path} has {lines} {what}, but there are {count} images, with {named}. Give one line an image, or one for "
         "every number from 0 to the last; a frame whose pose is unknown is a line of twelve nan."

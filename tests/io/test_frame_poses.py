@@ -46,7 +46,7 @@ def test_lines(tmp_path: Path, stems: list[str], count: int, x: list[int]) -> No
 
 
 @pytest.mark.parametrize(
-    ("stems", "count"), [(["0", "1", "2"], 2), (["7", "8"], 8), (["a", "b"], 3), (["0.1", "0.2"], 9)]
+    ("stems", "count"), [(["0", "1", "2"], 2), (["7", "8"], 8), (["1", "2"], 9), (["a", "b"], 3), (["0.1", "0.2"], 9)]
 )
 def test_other_numbers_of_lines_are_refused(tmp_path: Path, stems: list[str], count: int) -> None:
     with pytest.raises(BenchError, match=rf"has {count} poses, but there are {len(stems)} images"):
