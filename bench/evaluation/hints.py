@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.evaluation.trajectory import MINIMUM_FRAMES, common_frames, umeyama
+from bench.evaluation.trajectory import common_frames, umeyama
 from bench.geometry.pose_readings import other_reading
 from bench.types import Float, Trajectory
 
@@ -13,6 +13,8 @@ _SAME_UNIT = 1.1
 """A scale that is off a unit's by less than this factor is taken for that unit."""
 _OTHER_SIZE = 2.0
 """Stereo trackers are off by a few percent of scale; a factor above this is a unit, a baseline or a focal length."""
+_LEAST_FRAMES, _LEAST_EXTENT_M = 6, 0.1
+"""Fewer points have no shape, and those of a camera that stands are noise."""
 _SAME_SHAPE = 0.1
 """Trajectories have one shape when the RMS error after scaling is below this share of the ground truth's extent."""
 _ALIKE = 1.3
@@ -51,15 +53,16 @@ def about_convention(T: Float, truth: Float) -> str | None:
 
 def about_scale(T: Float, truth: Float) -> str | None:
     """A hint that two trajectories (N, 4, 4) have the same shape and very different sizes, or None."""
-    if len(T) < MINIMUM_FRAMES:
+    if len(T) < _LEAST_FRAMES:
         return None
     centres, wanted = T[:, :3, 3], truth[:, :3, 3]
     R, t, scale = umeyama(centres, wanted, with_scale=True)
     if not scale > 0 or 1 / _OTHER_SIZE < scale < _OTHER_SIZE:
         return None
     left_over = np.linalg.norm(scale * centres @ R.T + t - wanted, axis=1)
-    extent = np.linalg.norm(wanted - wanted.mean(axis=0), axis=1)
-    if np.sqrt((left_over**2).mean()) > _SAME_SHAPE * np.sqrt((extent**2).mean()):
+    extent = float(np.sqrt(((wanted - wanted.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    stands = extent * max(1.0, 1.0 / scale) < _LEAST_EXTENT_M
+    if stands or float(np.sqrt((left_over**2).mean())) > _SAME_SHAPE * extent:
         return None
     larger, factor = ("estimate", 1 / scale) if scale < 1 else ("ground truth", scale)
     unit = next((name for size, name in _UNITS.items() if 1 / _SAME_UNIT < factor / size < _SAME_UNIT), None)

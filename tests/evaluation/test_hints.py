@@ -119,6 +119,8 @@ def test_good_and_bad_trackers_get_no_hint(sigma_m: float) -> None:
     assert hinted(np.tile(np.eye(4), (120, 1, 1)), drive()) == {}
     assert hinted(drive(), np.tile(np.eye(4), (120, 1, 1))) == {}
     assert hinted(drive(4), drive(4)) == {}
+    standing = 1e-3 * rng.normal(size=(2, 12, 3))
+    assert hinted(*(se3.compose(np.tile(np.eye(3), (12, 1, 1)), each) for each in standing)) == {}
 
 
 def test_no_real_trajectory_gets_a_hint(test_data: Path) -> None:

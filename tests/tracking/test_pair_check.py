@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 from bench.geometry import se3
+from bench.registry import lookup
 from bench.tracking.pair_check import PairCheck, PairMatches, fault_of_pair
 from bench.types import StereoCamera, StereoFrame
 
@@ -165,3 +168,38 @@ def test_a_baseline_in_another_unit(baseline: float, odd: bool) -> None:
     said = PairCheck(_Frames(1, baseline)).about_camera()  # type: ignore[arg-type]
     assert (said is not None) == odd
     assert said is None or f"{baseline:g} metres" in said
+
+
+KITTI = [("03", "color"), ("06", "gray")]
+
+
+def spoilt(frame: StereoFrame, later: StereoFrame, how: str) -> StereoFrame:
+    assert frame.right is not None
+    height, width = frame.left.shape[:2]
+    turn = cv2.getRotationMatrix2D((width / 2, height / 2), 0.5, 1.0)
+    right = {
+        "good": frame.right,
+        "rolled": cv2.warpAffine(frame.right, turn, (width, height), borderMode=cv2.BORDER_REPLICATE),
+        "one frame late": later.right,
+        "the left one as JPEG": cv2.imdecode(cv2.imencode(".jpg", frame.left, [cv2.IMWRITE_JPEG_QUALITY, 50])[1], 1),
+    }[how]
+    return dataclasses.replace(frame, right=right)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sequence", "cameras"), KITTI)
+def test_real_pairs(kitti_root: Path, sequence: str, cameras: str) -> None:
+    """No alarm on any of them as they are, and the right one when they are spoilt."""
+    plugin = lookup("dataset", "kitti")
+    settings = {"root": str(kitti_root), "sequence": sequence, "camera": cameras, "frames": "0:6"}
+    dataset = plugin.cls(plugin.config(name="kitti", **settings))
+    frames = [dataset.frame(at) for at in range(5)]
+    for how, said in (
+        ("good", ""),
+        ("rolled", "rolled by 0.5 degrees"),
+        ("one frame late", "of the same moment"),
+        ("the left one as JPEG", "show the same"),
+    ):
+        check = PairCheck(dataset)
+        told = [check.look(at, spoilt(frames[at], frames[at + 1], how)) for at in range(4)]
+        assert [text for text in told if text] == [] if not said else any(said in str(text) for text in told), told
