@@ -93,6 +93,7 @@ class Watchdog:
         """A part of the run begins; ``status_of`` gives the run folder and the status that it is left with, should the
         process have to be ended for the reason given."""
         self._status_of = status_of
+        self._moved = time.monotonic()
         self._put_off_the_end()
 
     def step(self) -> None:
