@@ -20,6 +20,7 @@ from bench.runs.events import read_events
 from bench.runs.folder import RunFolder
 from bench.slam.run import run_system
 from bench.types import Event, Keyframe, MappingReport
+from plugins.datasets.street import Street
 
 pytestmark = pytest.mark.slow
 
@@ -194,3 +195,10 @@ def test_a_run_without_a_map_tracks_and_computes_no_stereo(tmp_path: Path) -> No
     assert metrics["trajectory"]["n"] == 5
     assert metrics["notes"]["image"] == "the run saved no renders"
     assert "lpips" not in metrics["notes"]
+
+
+def test_what_a_data_set_tells_is_a_warning_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Street, "remarks", ("2 images have no partner",))
+    folder = run_system(compose_run([*TINY[:3], "mapper=none", "tracker=groundtruth", f"output={tmp_path / 'run'}"]))
+    assert json.loads((folder.path / "status.json").read_text())["warnings"] == ["2 images have no partner"]
+    assert "2 images have no partner" in (folder.path / "log.txt").read_text()
