@@ -80,6 +80,18 @@ def test_a_polite_kill_while_scoring_is_an_interruption(tiny_run: Path) -> None:
     assert (status.state, status.reason) == ("interrupted", "scoring was interrupted")
 
 
+def test_what_is_doubtful_stays_with_the_scores(tiny_run: Path) -> None:
+    """Warnings of a run are in its status from then on, and in the notes of its scores; a run without has no note."""
+    assert "warning" not in evaluate_run(tiny_run).get("notes", {})
+    folder = RunFolder(tiny_run, already_done=False)
+    folder.warnings = ["the baseline is 537 metres", "no depth in frame 3"]
+    folder.set_status("done", frames_done=5, frames_total=5)
+    status = read_status(tiny_run)
+    assert status is not None
+    assert status.warnings == folder.warnings
+    assert evaluate_run(tiny_run)["notes"]["warning"] == "the baseline is 537 metres; no depth in frame 3"
+
+
 def test_scores_that_are_there_are_not_spoilt_by_scoring_again_in_vain(tiny_run: Path) -> None:
     metrics = evaluate_run(tiny_run)
     shutil.rmtree(tiny_run / "views" / "left")

@@ -10,6 +10,7 @@ import pytest
 
 from bench.errors import BenchError
 from bench.runs.events import check_events, in_words, read_events, write_events
+from bench.slam.progress import Progress
 from bench.types import Event
 
 CLOSED = Event(
@@ -44,3 +45,16 @@ def test_people_read_sentences() -> None:
 def test_values_that_are_no_plain_data_name_the_plugin(value: object) -> None:
     with pytest.raises(BenchError, match=r"Mine\.track gave an event 'seen' of frame 5 .*expected plain data"):
         check_events([Event("seen", 5, {"it": value})], "Mine.track")
+
+
+def test_warnings_of_a_run() -> None:
+    """Those of its events as they are; frames without depth together."""
+    done = Progress(rows=[{"state": "ok", "mapped": True, "number": number} for number in range(4)])
+    assert done.warnings() == []
+    done.note([Event("warning", 0, {"text": "It is dark."}), Event("lost", 1)])
+    done.note([Event("no_depth", number, {"source": "Sgbm"}) for number in (2, 3)])
+    assert done.warnings() == [
+        "It is dark.",
+        "Sgbm knew no depth at all in 2 of 4 keyframes, frame 2 first",
+    ]
+    assert in_words(done.events[0]) == "It is dark."

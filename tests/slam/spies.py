@@ -42,9 +42,11 @@ class SpyMapper(GaussianMapper):
 
 @dataclass(frozen=True)
 class OddTrackerConfig(PluginConfig):
-    """``answer``: what it says in frame 1; ``trajectory_fails``: it can't give its trajectory either."""
+    """``answer``: what it says in frame 1; ``lost_from`` it is lost; ``trajectory_fails``: it can't give its trajectory
+    either."""
 
     answer: str = "lost"
+    lost_from: int = 1000
     trajectory_fails: bool = False
 
 
@@ -59,9 +61,9 @@ class OddTracker(GroundTruth):
 
     def track(self, frame: StereoFrame) -> TrackingResult:
         result = super().track(frame)
-        if frame.number != 1:
+        if frame.number != 1 and frame.number < self._odd.lost_from:
             return result
-        if self._odd.answer == "lost":
+        if self._odd.answer == "lost" or frame.number >= self._odd.lost_from:
             self._lost.append(frame.number)
             return TrackingResult(None, "lost")
         if self._odd.answer == "raise":

@@ -75,6 +75,15 @@ def test_a_lost_frame_is_neither_mapped_nor_rendered(tmp_path: Path) -> None:
     assert state_of(folder)[0] == "done"
 
 
+def test_a_run_that_lost_all_frames_but_the_first_has_failed(tmp_path: Path) -> None:
+    """The pose that the world begins at is no trajectory, and one view is no score."""
+    with pytest.raises(BenchError, match=r"^Tracking was lost in 4 of 5 frames: there is no run\. See the images, the"):
+        run(tmp_path / "run", "tracker=odd_for_tests", "tracker.lost_from=1")
+    state, reason, done = state_of(tmp_path / "run")
+    assert (state, done) == ("failed", 5)
+    assert reason.startswith("Tracking was lost in 4 of 5 frames")
+
+
 @pytest.mark.parametrize(
     ("answer", "got"), [("nan", r"shape \(4, 4\) with NaN"), ("3x4", r"shape \(3, 4\)"), ("none", "None")]
 )
