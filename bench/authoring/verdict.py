@@ -124,7 +124,9 @@ def failure_of(plugin: Plugin, title: str, error: Exception) -> Finding:
     seen = text if isinstance(error, BenchError) else f"{type(error).__name__}: {text}".rstrip(": ")
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if Path(frame.filename) == Path(plugin.file)]
-    place = f"{own[-1].filename}:{own[-1].lineno}" if own else place_of(plugin, "")
+    # What a base class refuses is what the plugin's own method had returned to it.
+    method = "disparity" if isinstance(error, BenchError) and title != "construction" else ""
+    place = f"{own[-1].filename}:{own[-1].lineno}" if own else place_of(plugin, method)
     full = "".join(traceback.format_exception(error))
     unknown = "" if isinstance(error, BenchError) else "see the line named here; --traceback shows how it came there"
     mend = cure_of(error) or unknown

@@ -3,6 +3,7 @@ comes out."""
 
 from __future__ import annotations
 
+import logging
 from abc import abstractmethod
 from dataclasses import dataclass, field
 from functools import partial
@@ -18,6 +19,8 @@ from bench.stereo.resizing import at_scale
 from bench.stereo.tiling import tiled
 from bench.types import Image, Map, check_confidence
 from bench.weights import resolve
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,7 @@ class StereoNetwork(StereoBackbone):
         """``published`` is the manifest's name of the weights to use where ``config.weights`` is empty, or "" for a
         network without weights. Raises ``BenchError`` for weights that are not there."""
         self._settings = config
+        self._unit_is_told = False
         self.weights_path = _weights_path(config.weights, published)
 
     def weights(self) -> dict[str, Path]:
@@ -73,6 +77,11 @@ class StereoNetwork(StereoBackbone):
     def sign_cure(self) -> str:
         """What to do about a network whose disparities are all negative."""
         return "return -d"
+
+    @property
+    def unit_cure(self) -> str:
+        """What to do about disparities that are no pixels."""
+        return "Divide them by what they were multiplied with; is it depth?"
 
     @abstractmethod
     def match(self, left: Image, right: Image) -> Map | Matched:
@@ -121,7 +130,20 @@ class StereoNetwork(StereoBackbone):
                 f"{type(self).__name__} returned no number at all, only NaN: "
                 f"{computed if dtype == 'float32' else overflow}{weights}."
             )
+        self._check_unit(float(np.median(disparity[known])), left.shape[1])
         return Matched(np.where(known, disparity, np.float32(np.nan)), confidence)
+
+    def _check_unit(self, median: float, width: int) -> None:
+        """Warn once of what can't be pixels: the left pixel x < width matches the right pixel x - d."""
+        if median >= width and not self._unit_is_told:
+            self._unit_is_told = True
+            log.warning(
+                "%s: the median disparity is %.4g px in images %d px wide, so the unit is not pixels. %s",
+                type(self).__name__,
+                median,
+                width,
+                self.unit_cure,
+            )
 
     def _match_checked(self, left: Image, right: Image) -> Matched:
         answer, what = self.match(left, right), f"{type(self).__name__}.match"

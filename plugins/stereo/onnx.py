@@ -147,6 +147,12 @@ class OnnxStereo(StereoNetwork):
         """The setting that turns the sign."""
         return f"set stereo.gain={-self._graph.gain:g}"
 
+    @property
+    def unit_cure(self) -> str:
+        """The settings that say in which unit the output is."""
+        now = f"stereo.gain={self._graph.gain:g} stereo.unit={self._graph.unit}"
+        return f"Change {now}; KITTI's coding is gain=0.00390625 (1/256)."
+
     def match(self, left: Image, right: Image) -> Matched:
         """One pass of the graph over a pair; raises ``BenchError`` where it refuses it or gives another shape."""
         pair, fed, window = self._fitted(left, right)

@@ -197,6 +197,15 @@ def test_wrong_sign_is_told_with_the_setting_that_turns_it(gain: float, cure: st
         network.disparity(*shifted_pair(HEIGHT, WIDTH, SHIFT))
 
 
+def test_a_unit_that_is_no_pixel_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    network = opened(block_matcher(tmp_path / "net.onnx", gain=256.0))
+    for _ in range(2):
+        network.disparity(*shifted_pair(HEIGHT, WIDTH, SHIFT))
+    (line,) = caplog.messages
+    assert "the median disparity is 3072 px in images 150 px wide" in line
+    assert "Change stereo.gain=1 stereo.unit=output" in line
+
+
 def test_an_image_larger_than_the_file_allows(tmp_path: Path) -> None:
     network = opened(block_matcher(tmp_path / "net.onnx", size=(32, 160), disparities=2), fit="pad")
     with pytest.raises(BenchError, match=r"takes images of 160x32, and the frame is 150x45\. Use stereo\.fit=resize"):

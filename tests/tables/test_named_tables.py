@@ -357,6 +357,10 @@ def test_a_users_backbone_has_a_row_below_the_papers(tmp_path: Path) -> None:
     assert line(table, "my_net", "ours")["PSNR [dB] ↑"] == "21.00 ± 1.41 (2)"
     assert line(table, "SGBM", "ours")["PSNR [dB] ↑"] == "**25.00** (1)"
     assert "2 runs belong to no cell of this table." in table.notes
+    assert table.left_out == (
+        "In no cell: fast: all rows have system=bgs_slam_paper.",
+        "In no cell: no_sky: no row has sky=none.",
+    )
     own = next(row for row in csv.DictReader(table.text("csv", tmp_path).splitlines()) if row["method"] == "my_net")
     assert (own["metric"], own["value"], own["paper"]) == ("psnr_db", "21.0", "")
     table.write(tmp_path / "kept")

@@ -39,6 +39,15 @@ def choose_rows(table: NamedTable, overrides: Sequence[str]) -> tuple[NamedTable
     return replace(table, rows=tuple(rows)), [each for each in overrides if each not in chosen]
 
 
+def why_in_no_row(table: NamedTable, config: Mapping[str, Any]) -> str:
+    """The setting that all rows have and a run on the table's data set lacks; empty where it is not one for all."""
+    columns = list(table.sequences.values())
+    everywhere = (*(columns[0] if len(columns) == 1 else ()), *table.overrides)
+    lacking = next((override for override in everywhere if not holds(config, override)), "")
+    never = next((override for override in table.never if holds(config, override)), "")
+    return f"all rows have {lacking}" if lacking else f"no row has {never}" if never else ""
+
+
 def _rows_naming(table: NamedTable, plugin: str) -> list[MethodRow]:
     return [row for row in table.rows if f"{table.other_rows}={plugin}" in (row.overrides or ())]
 

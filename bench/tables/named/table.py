@@ -16,7 +16,7 @@ from bench.tables.named.definitions import NamedTable
 from bench.tables.named.dialects import dialect_data, dialect_grid, dialect_notes, scored_groups
 from bench.tables.named.fill import fill, is_of
 from bench.tables.named.find import DIALECTS, named_table
-from bench.tables.named.found_rows import with_found_rows
+from bench.tables.named.found_rows import why_in_no_row, with_found_rows
 from bench.tables.named.grid import PublishedNumbers, build_grid
 from bench.tables.named.layout import document_of
 from bench.tables.named.notes import notes
@@ -25,6 +25,7 @@ from bench.tables.named.records import read_runs
 from bench.tables.named.tidy import tidy_data
 from bench.tables.records.file import SUFFIX, KeptRuns, lead_to, record_text
 from bench.tables.records.record import VIEW_GROUPS
+from bench.tables.records.settings import first_few
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ class PaperTable:
     table: NamedTable | None
     """None: the table of dialects."""
     columns_of: str = "both"
+    left_out: tuple[str, ...] = ()
+    """Why runs on its data set have no cell, where one setting says it; for who prints it, as no record keeps it."""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -49,6 +52,8 @@ class PaperTable:
     def print(self, console: Console) -> None:
         """Print it with its notes."""
         print_document(self.document, console)
+        for reason in self.left_out:
+            console.print(reason, markup=False, highlight=False, soft_wrap=True)
 
     def write(self, folder: Path, forms: Sequence[str] = FORMS) -> list[Path]:
         """Write NAME.md, .csv, .tex, .html and NAME.runs.json, from which ``make_table`` makes the same table again.
@@ -90,7 +95,19 @@ def make_table(
 
 def fill_table(table: NamedTable | None, found: KeptRuns, columns_of: str = "both") -> PaperTable:
     """The table (None: that of dialects) with those of the runs that have a place in it."""
-    return _table_of(table, _of_table(table, found), columns_of)
+    filled = _table_of(table, _of_table(table, found), columns_of)
+    return filled if table is None else replace(filled, left_out=_left_out(table, filled.runs, found))
+
+
+def _left_out(table: NamedTable, shown: KeptRuns, found: KeptRuns) -> tuple[str, ...]:
+    """A line for each setting that keeps runs out."""
+    names = {run.name for run in shown.runs}
+    by_reason: dict[str, list[str]] = {}
+    for run in found.runs:
+        reason = why_in_no_row(table, run.config) if is_of(run, table) and run.name not in names else ""
+        if reason:
+            by_reason.setdefault(reason, []).append(run.name)
+    return tuple(f"In no cell: {first_few(runs)}: {reason}." for reason, runs in by_reason.items())
 
 
 def _of_table(table: NamedTable | None, found: KeptRuns) -> KeptRuns:
