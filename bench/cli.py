@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import importlib.metadata
 import os
 import sys
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from bench.deferred_imports import defer
 from bench.errors import BenchError
 from bench.terminal import output_error, print_anywhere, tell
 
+_DISTRIBUTION = "bgs-slam-bench"
 _NOBODY_READS = 141  # 128 + SIGPIPE, as other programs end then
 _COMMANDS = (
     *("run", "list", "table", "reproduce", "evaluate", "score", "map", "stereo-eval", "vocabulary", "weights"),
@@ -88,6 +90,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parsed(given: list[str]) -> argparse.Namespace:
     parser = _Parser(prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors.")
+    parser.add_argument("--version", action="version", version=f"bgs-bench {importlib.metadata.version(_DISTRIBUTION)}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     # All of them import torch and more, which takes seconds; the one that is meant may need little of that.
     for command in given[:1] if given and given[0] in _COMMANDS else _COMMANDS:

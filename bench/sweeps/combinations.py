@@ -8,8 +8,7 @@ from pathlib import Path
 
 from hydra.core.override_parser.types import Glob, Override
 
-from bench import registry
-from bench.config import check_overrides, combinations, options_of
+from bench.config import check_overrides, combinations, glob_choices
 from bench.errors import BenchError
 from bench.hydra_settings import config_folders
 from bench.override_text import hydra_lines, quoted
@@ -54,25 +53,9 @@ def expand_globs(overrides: Sequence[str]) -> tuple[list[str], list[Skipped]]:
 
 def _without_glob(override: Override, folders: Sequence[Path], skipped: list[Skipped]) -> str:
     """The override with the names in place of its glob; adds to ``skipped`` what can't run here."""
-    glob, group = override.value(), override.key_or_group.replace(".", "/")
-    assert isinstance(glob, Glob)
-    options = options_of(group, folders)
-    if not options:
-        raise BenchError(
-            f"{override.input_line}: glob(...) chooses plugins and presets, as stereo=glob(*). Write a,b,c here."
-        )
-    kind = registry.nested_groups.get(group, group)
-    fitting = []
-    for name in glob.filter(options):
-        plugin = registry.lookup(kind, name) if name in registry.names(kind) else None  # else a preset
-        reason = None if plugin is None else plugin.unavailable_reason() or plugin.missing_weights()
-        if reason:
-            skipped.append(Skipped(Cell(f"{override.get_key_element()}={name}", "", ()), reason))
-        else:
-            fitting.append(name)
-    if not fitting:
-        raise BenchError(f"{override.input_line} fits nothing that can run here; there are {', '.join(options)}.")
-    return f"{override.get_key_element()}={','.join(fitting)}"
+    key, choices = override.get_key_element(), glob_choices(override, folders)
+    skipped += [Skipped(Cell(f"{key}={name}", "", ()), reason) for name, reason in choices.items() if reason]
+    return f"{key}={','.join(name for name, reason in choices.items() if not reason)}"
 
 
 def planned_run(cell: Cell, combination: Sequence[str], swept: Sequence[str]) -> PlannedRun:

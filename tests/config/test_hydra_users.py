@@ -142,6 +142,7 @@ def test_globs_are_choices_and_intervals_are_for_searches() -> None:
             expand_globs([given])
     with pytest.raises(BenchError, match=r"an interval is searched, not enumerated\. Add sweeper=optuna"):
         combinations(["mapper.iterations=interval(1,3)"])
+    assert ["stereo=sgbm"] in combinations(["stereo=glob(s*)"])
     rates = combinations(["mapper.color_rate=range(0.1,0.35,0.1)"])
     assert rates == [[f"mapper.color_rate={rate}"] for rate in ("0.1", "0.2", "0.3")]
 
