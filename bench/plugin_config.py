@@ -56,6 +56,8 @@ def _parse(kind: str, plugin: Plugin, mapping: Mapping[str, Any]) -> PluginConfi
     except OmegaConfBaseException as error:
         where = f"{kind}.{error.full_key}" if error.full_key else f"{kind}={plugin.name}"
         raise BenchError(f"{where}: {first_line(error)}") from error
+    except (TypeError, ValueError) as error:  # its own check, of a value that is not of its kind
+        raise BenchError(f"{kind}={plugin.name}: {first_line(error)}") from error
     assert isinstance(config, plugin.config)
     check_numbers(f"{kind}.{plugin.name}" if kind in SEVERAL_AT_ONCE else kind, config)
     chosen: dict[str, Any] = {key: _inner(kind, key, inner[key], mapping[key]) for key in inner if key in mapping}

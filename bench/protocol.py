@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from bench.errors import BenchError, did_you_mean, require_choice
+from bench.errors import BenchError, did_you_mean, first_line, require_choice
 from bench.settings import check_numbers
 
 ALIGNMENTS = ("se3", "none")
@@ -97,7 +97,10 @@ class Protocol:
                     f"protocol.{key} is no setting of the protocol; there are {', '.join(accepted)}."
                     f"{did_you_mean(str(key), accepted)}"
                 )
-        return cls(**values)
+        try:
+            return cls(**values)
+        except (TypeError, ValueError) as error:
+            raise BenchError(f"protocol: a value is of the wrong kind ({first_line(error)}). Correct it.") from error
 
     def is_held_out(self, number: int) -> bool:
         """Whether the frame with this number is kept out of mapping."""

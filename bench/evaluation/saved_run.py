@@ -32,6 +32,7 @@ from bench.runs.folder import (
     TRAJECTORY_FILE,
     View,
     picture_path,
+    require_own_files,
 )
 from bench.runs.status import STATUS_FILE, RunStatus, read_json, read_status
 from bench.runs.trajectory_csv import read_trajectory_csv
@@ -52,6 +53,7 @@ class SavedRunFolder(SavedRun):
             raise BenchError(
                 f"There is no run folder {self.path}. Check the path; runs lie in results/runs by default."
             )
+        require_own_files(self.path)
         known = read_config(self.path)
         if known is None:
             raise BenchError(f"{self.path} is no run folder: it has no {CONFIG_FILE} that `bgs-bench run` wrote.")

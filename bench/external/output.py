@@ -68,7 +68,7 @@ def read_output(folder: Path, settings: ScoreSettings, dataset: Dataset) -> Exte
     depth = reader.depth(contents.depth, form)
     if settings.status == "done" and not reader.sources:
         raise BenchError(
-            f"{folder} holds nothing to score: no trajectory, renders or depth was found. Say where they lie with "
+            f"{folder} holds nothing to score: no trajectory, renders or depth was found{reader.unopened}. Say where they lie with "
             "--trajectory, --renders (. for the folder itself), --depth or in a score.yaml; say --status if the "
             "system's run failed."
         )
@@ -113,6 +113,7 @@ class _Reader:
         self.mapped: list[int] = []
         self.sources: dict[str, str] = {}
         self.about: list[str] = []
+        self.unopened = ""
         self.digest = hashlib.sha256()
 
     def read_trajectory(self, path: Path | None, outside: Sequence[Path]) -> None:
@@ -120,6 +121,7 @@ class _Reader:
         if path is None:
             unopened = ", ".join(str(link.relative_to(self._folder)) for link in outside[:5])
             why = f"; not opened, as it leads out of the folder: {unopened}. Put a copy there" if outside else ""
+            self.unopened = why
             self.about.append(f"trajectory: none found{why}")
             return
         written, frames = read_written_poses(path), self._dataset.numbers

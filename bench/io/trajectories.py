@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from bench.errors import BenchError
+from bench.errors import BenchError, first_line
 from bench.geometry import se3
 from bench.io.text_files import read_text
 from bench.types import Float, Trajectory
@@ -132,7 +132,7 @@ def _read_table(path: Path, columns: int, expected: str, lines_count: bool) -> t
         try:
             rows.append([float(word) for word in words])
         except ValueError as error:
-            raise BenchError(f"{path}, line {line}: {error}; expected {expected}.") from None
+            raise BenchError(f"{path}, line {line}: {first_line(error)}; expected {expected}.") from None
         lines.append(line)
     if not rows:
         raise BenchError(f"{path} holds no pose. Expected one per line: {expected}.")

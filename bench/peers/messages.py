@@ -61,7 +61,7 @@ def read_message(read: Callable[[int], bytes | bytearray]) -> Message:
         header = json.loads(bytes(read(length)).decode())
         kind, fields, listed = header["kind"], header["fields"], header["arrays"]
         specs = [(str(name), str(dtype), tuple(int(n) for n in shape)) for name, dtype, shape in listed]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise MalformedMessageError(f"its header can't be read ({type(error).__name__})") from error
     if not isinstance(kind, str) or not isinstance(fields, dict):
         raise MalformedMessageError("its header has no kind or no fields")

@@ -69,6 +69,15 @@ DEPTH_SCALE = 256.0
 _TELL_S = 1.0
 
 
+def require_own_files(folder: Path) -> None:
+    """Raise ``BenchError`` where a file of the run folder is a link that leads out of it: reading and writing it would
+    read and write what nobody named."""
+    for name in (CONFIG_FILE, *OTHER_FILES):
+        path = folder / name
+        if path.is_symlink() and not path.resolve().is_relative_to(folder.resolve()):
+            raise BenchError(f"{path} is a link that leads out of the run folder. Put the file itself there.")
+
+
 def map_size(resources: Mapping[str, Any]) -> dict[str, Any]:
     """Size of the map in named numbers, from what ``resources.json`` holds: its ``size`` says which numbers those are.
 
@@ -145,6 +154,7 @@ class RunFolder:
         if path.exists() and not path.is_dir():
             raise BenchError(f"output={path} is a file. Name a folder that is empty or not there yet.")
         if path.is_dir():
+            require_own_files(path)
             known = _known_run(path)
             if known is not None:
                 _require_same_config(path, known, config, config_hash)

@@ -104,3 +104,15 @@ def test_a_run_with_the_projects_plugins_needs_no_folder(tmp_path: Path) -> None
 def test_sections_that_are_none(tmp_path: Path, capfd: pytest.CaptureFixture[str], section: str) -> None:
     run = write_tiny_run(tmp_path / "run", CONFIG | {section: ["a"]})
     assert "one of its sections has no settings" in refused(["evaluate", str(run)], capfd)
+
+
+def test_a_run_folder_reads_nothing_outside_of_itself(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run = write_tiny_run(tmp_path / "run", CONFIG | {"evaluator": {"ate": {"name": "ate"}}})
+    (tmp_path / "secret.json").write_text('{"state": "done", "reason": "secret"}')
+    (run / "status.json").unlink()
+    (run / "status.json").symlink_to(tmp_path / "secret.json")
+    assert "status.json is a link that leads out of the run folder" in refused(["evaluate", str(run)], capfd)
+    assert main(["table", str(run)]) == 0
+    shown = capfd.readouterr().out
+    assert "leads out of the run folder" in shown
+    assert "secret" not in shown

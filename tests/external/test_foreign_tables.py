@@ -56,7 +56,7 @@ def test_a_system_of_the_paper_fills_its_row(tmp_path: Path) -> None:
     make_run(tmp_path / "ours", config("03"), metrics(FRAMES["03"], ate_rmse_m=1.5, psnr_db=22.0))
     text = main_kitti(tmp_path)
     scored, published = ate_in_03(text, "MonoGS")
-    assert scored.startswith("50.000 ± 1.414 (2: ")
+    assert scored.startswith("50.000 ± 1.414 (2)")
     # 50.00 - 57.87 = -7.87, in the paper's two digits.
     assert published == f"57.87 ({MINUS}7.87)"
     assert "| MonoGS† |" in text

@@ -16,6 +16,7 @@ from bench.cache.entry import Stored
 from bench.cache.recording import Recording
 from bench.cache.store import CacheStore
 from bench.cli import main
+from bench.contracts.dataset import Dataset
 from bench.external.output import read_output
 from bench.external.poses import read_written_poses
 from bench.external.settings import read_settings
@@ -23,7 +24,8 @@ from bench.gaussians.ply import write_ply
 from bench.io.images import image_size, read_rgb
 from bench.io.kitti_files import KittiCalibration, read_kitti_times
 from bench.io.scans import check_scan_file, read_scan
-from bench.io.trajectories import read_kitti_poses, read_tum, write_kitti, write_tum
+from bench.io.trajectories import read_kitti_poses, read_tum, write_tum
+from bench.io.trajectories import write_kitti as write_kitti_poses
 from bench.runs.checkpoint import Checkpoints, Snapshot
 from bench.stereo.checkpoint import load_state
 from bench.stereo.onnx_session import open_session
@@ -32,6 +34,10 @@ from bench.tables.records.file import record_text
 from bench.tracking.loops.vocabulary import load as load_vocabulary
 from bench.tracking.loops.vocabulary import train
 from bench.types import TrackingResult, Trajectory
+from plugins.datasets.kitti import Kitti, KittiConfig
+from plugins.datasets.kitti360 import Kitti360, Kitti360Config
+from tests.datasets.kitti360_disk import drive_of, write_kitti360
+from tests.datasets.kitti_disk import write_kitti
 from tests.evaluation.tiny_run import write_tiny_run
 from tests.external.foreign_case import COUNT, HEIGHT, WIDTH, curve, dataset, write_depth, write_poses, write_renders
 from tests.stereo.tiny_onnx import channel_reader
@@ -196,6 +202,20 @@ def _in_cache_folder(kind: str) -> str:
     return f"{kind}/net/{KEY[:2]}/{KEY}.entry"
 
 
+def _read_kitti(root: Path) -> None:
+    _read_dataset(Kitti(KittiConfig(root=str(root), sequence="04")))
+
+
+def _read_kitti360(root: Path) -> None:
+    _read_dataset(Kitti360(Kitti360Config(root=str(root), sequence="0002")))
+
+
+def _read_dataset(dataset: Dataset) -> None:
+    dataset.frame(0)
+    dataset.lidar_depth(0)
+    dataset.ground_truth()
+
+
 def _read_entry(path: Path) -> None:
     _store(path).read("sky", "net", KEY)
 
@@ -206,12 +226,17 @@ _SCORED_FILES = (
     *("views/left/color/000010.png", "views/left/depth/000010.png"),
 )
 _THEIR_FILES = ("est.txt", "score.yaml", "renders/gs_0000.png", "depth/000000.png", "depth/000001.npy")
+_KITTI360_FILES = (
+    *("calibration/perspective.txt", "calibration/calib_cam_to_pose.txt", "calibration/calib_cam_to_velo.txt"),
+    *(f"data_poses/{drive_of('0002')}/cam0_to_world.txt", f"data_2d_raw/{drive_of('0002')}/image_00/timestamps.txt"),
+)
+_KITTI_FILES = ("calib.txt", "times.txt", "image_2/000000.png", "velodyne/000000.bin")
 _TRAJECTORY = Trajectory(curve(FRAMES), FRAMES, TIMES)
 
 TARGETS = (
     _file("calib.txt", _calibration, KittiCalibration),
     _file("times.txt", lambda path: path.write_text("".join(f"{time:.6e}\n" for time in TIMES)), read_kitti_times),
-    _file("06.txt", lambda path: write_kitti(path, curve(FRAMES)), read_kitti_poses),
+    _file("06.txt", lambda path: write_kitti_poses(path, curve(FRAMES)), read_kitti_poses),
     _file("est.tum", lambda path: write_tum(path, _TRAJECTORY), read_tum),
     _file("left.png", _image, _read_image),
     _file("left.jpg", _image, _read_image),
@@ -230,5 +255,8 @@ TARGETS = (
     _file("kept.runs.json", _record, _read_record),
     *(Target(f"run/{name}", _run, _tables) for name in _RUN_FILES),
     *(Target(f"run/{name}", _run, _evaluate) for name in _SCORED_FILES),
+    *(Target(f"sequences/04/{name}", write_kitti, _read_kitti) for name in _KITTI_FILES),
+    Target("poses/04.txt", write_kitti, _read_kitti),
+    *(Target(name, write_kitti360, _read_kitti360) for name in _KITTI360_FILES),
     *(Target(f"theirs/{name}", _their_output, _read_output) for name in _THEIR_FILES),
 )

@@ -12,7 +12,15 @@ from bench.evaluation.frame_states import count_states
 from bench.io.csv_files import read_csv
 from bench.runs.config_file import CONFIG_FILE, read_shared_config
 from bench.runs.events import read_events
-from bench.runs.folder import FRAME_COLUMNS, FRAMES_FILE, METRICS_FILE, PROVENANCE_FILE, RESOURCES_FILE, map_size
+from bench.runs.folder import (
+    FRAME_COLUMNS,
+    FRAMES_FILE,
+    METRICS_FILE,
+    PROVENANCE_FILE,
+    RESOURCES_FILE,
+    map_size,
+    require_own_files,
+)
 from bench.runs.status import read_json, read_status
 from bench.tables.records.portable import portable, portable_config, portable_text
 from bench.tables.records.record import RunRecord, what_no_run_writes
@@ -22,6 +30,10 @@ T = TypeVar("T")
 
 def read_run(folder: Path) -> RunRecord:
     """A run folder as it is, with what an unscored run measured; what can't be read is left out and in ``damage``."""
+    try:
+        require_own_files(folder)
+    except BenchError as error:
+        return RunRecord(folder.resolve().name, folder, config={}, state="", damage=(str(error),))
     run = _read(folder)
     damage = list(run.damage)
     resources: dict[str, Any] = _tried(lambda: _if_there(folder / RESOURCES_FILE), {}, damage)
@@ -39,6 +51,7 @@ def read_folder(folder: Path, views: str = "left") -> RunRecord:
 
     Raises ``BenchError`` when a file that is there is damaged, or there is no config.
     """
+    require_own_files(folder)
     run = _read(folder)
     if run.damage:
         raise BenchError(run.damage[0])
