@@ -68,9 +68,9 @@ def read_output(folder: Path, settings: ScoreSettings, dataset: Dataset) -> Exte
     depth = reader.depth(contents.depth, form)
     if settings.status == "done" and not reader.sources:
         raise BenchError(
-            f"{folder} holds nothing to score: no trajectory, renders or depth was found{reader.unopened}. Say where they lie with "
-            "--trajectory, --renders (. for the folder itself), --depth or in a score.yaml; say --status if the "
-            "system's run failed."
+            f"{folder} holds nothing to score: no trajectory, renders or depth was found{reader.unopened}. Say where "
+            "they lie with --trajectory, --renders (. for the folder itself), --depth or in a score.yaml; say --status "
+            "if the system's run failed."
         )
     return ExternalOutput(
         times=times,

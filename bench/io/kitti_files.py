@@ -23,10 +23,8 @@ def parse_numbers(text: str, count: int, path: Path, line: int) -> Float:
     try:
         values = np.array([float(word) for word in words])
     except ValueError:
-        bad = next(word for word in words if not _is_number(word))
-        raise BenchError(
-            f"{path}, line {line}: '{bad[:80]}' is not a number. Restore the file from the data set."
-        ) from None
+        bad = next(word for word in words if not _is_number(word))[:40]
+        raise BenchError(f"{path}, line {line}: '{bad}' is not a number. Restore the file from the data set.") from None
     if len(values) != count:
         raise BenchError(f"{path}, line {line}: {len(values)} numbers, expected {count}. Restore the file.")
     if not np.isfinite(values).all():
