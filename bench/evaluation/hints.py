@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.evaluation.trajectory import common_frames, umeyama
-from bench.geometry.pose_readings import other_reading
+from bench.geometry.pose_readings import alike, other_reading
 from bench.types import Float, Trajectory
 
 _UNITS = {1e3: "millimetres", 1e2: "centimetres", 1 / 0.3048: "feet"}
@@ -17,8 +17,6 @@ _LEAST_FRAMES, _LEAST_EXTENT_M = 6, 0.1
 """Fewer points have no shape, and those of a camera that stands are noise."""
 _SAME_SHAPE = 0.1
 """Trajectories have one shape when the RMS error after scaling is below this share of the ground truth's extent."""
-_ALIKE = 1.3
-"""Two readings whose errors are closer than this factor are as good as each other."""
 
 
 def hints(estimate: Trajectory, ground_truth: Trajectory) -> dict[str, str]:
@@ -41,10 +39,10 @@ def about_convention(T: Float, truth: Float) -> str | None:
         return None
     # A file in another convention has a plain reading; seen from the other file it may be an odd one.
     best = min(each.error for each in found.values())
-    alike = {who: each for who, each in found.items() if each.error <= _ALIKE * best}
-    changes = min(each.changes for each in alike.values())
-    likely = [f"the {who} read {each.words}" for who, each in alike.items() if each.changes == changes]
-    now = next(iter(alike.values())).error_as_is
+    fitting = {who: each for who, each in found.items() if alike(each.error, best)}
+    changes = min(each.changes for each in fitting.values())
+    likely = [f"the {who} read {each.words}" for who, each in fitting.items() if each.changes == changes]
+    now = next(iter(fitting.values())).error_as_is
     return (
         f"estimate and ground truth seem to be written in different conventions: with {' or '.join(likely)} their "
         f"steps differ by {best:.1%} of their length, as they are by {now:.0%}. Convert the file if that is so"

@@ -11,25 +11,23 @@ import numpy.typing as npt
 
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
+from bench.evaluation.hints import about_convention as of_pair
 from bench.external.pictures import DepthFormat, read_depth
 from bench.external.poses import WrittenPoses
-from bench.external.settings import AXES, CONVENTIONS, ScoreSettings
-from bench.geometry import se3
+from bench.external.settings import AXES, CONVENTIONS
 from bench.geometry.axis_conventions import suspected_convention
-from bench.types import Float, Trajectory
+from bench.geometry.pose_readings import alike, other_reading, step_error
+from bench.types import Trajectory
 
 Indices = npt.NDArray[np.intp]
 
-_LEAST_STEPS = 5
-_CLEARLY = 0.5
-"""Another reading of the poses is hinted at when its error is below this share of the error as they are read."""
 _DEPTH_SAMPLES = 8
 _IMPLAUSIBLE = 3.0
 """Depth that is off from LiDAR by more than this factor in the median is taken for depth in another unit."""
 
 
 def about_convention(
-    written: WrittenPoses, settings: ScoreSettings, estimate: Trajectory, rows: Indices, truth: Trajectory | None
+    written: WrittenPoses, estimate: Trajectory, rows: Indices, truth: Trajectory | None
 ) -> str | None:
     """A hint that the poses are in another convention than they were read in, or None.
 
@@ -40,29 +38,22 @@ def about_convention(
         found = suspected_convention(estimate.T_world_cam)
         return None if found is None else f"{found}. Say --convention or --axes if that is so"
     known = np.isin(estimate.numbers, truth.numbers)
-    wanted = truth.T_world_cam[np.isin(truth.numbers, estimate.numbers)]
-    chosen = rows[known]
-    if len(chosen) <= _LEAST_STEPS:
+    T, wanted = estimate.T_world_cam[known], truth.T_world_cam[np.isin(truth.numbers, estimate.numbers)]
+    reading = other_reading(T, wanted)
+    if reading is None:
         return None
-    as_read = _step_error_m(estimate.T_world_cam[known], wanted)
     errors = {
-        (convention, axes): _step_error_m(written.camera_to_world(convention, axes)[chosen], wanted)
+        (convention, axes): step_error(written.camera_to_world(convention, axes)[rows[known]], wanted)
         for convention, axes in product(CONVENTIONS[1:], AXES[1:])
     }
-    convention, axes = min(errors, key=lambda reading: errors[reading])
-    best = errors[convention, axes]
-    if best >= _CLEARLY * as_read:
-        return None
+    convention, axes = min(errors, key=lambda option: errors[option])
+    if not alike(errors[convention, axes], reading.error):
+        return of_pair(T, wanted)
     return (
-        f"read as {convention.replace('_', ' ')} in {axes} axes, the poses are {best:.3f} m a step off the ground "
-        f"truth, as they were read {as_read:.3f} m. If that is what they are: --convention {convention} --axes {axes}"
+        f"read as {convention.replace('_', ' ')} in {axes} axes, the poses' steps are off the ground truth's by "
+        f"{errors[convention, axes]:.1%} of their length, as they were read by {reading.error_as_is:.0%}. If that is "
+        f"what they are: --convention {convention} --axes {axes}"
     )
-
-
-def _step_error_m(T: Float, truth: Float) -> float:
-    """Mean distance between the steps of two trajectories (N, 4, 4), each in the axes where it begins."""
-    steps, true_steps = (se3.inverse(each[:-1]) @ each[1:] for each in (T, truth))
-    return float(np.linalg.norm((steps - true_steps)[:, :3, 3], axis=1).mean())
 
 
 def check_depth_unit(files: Mapping[int, Path], form: DepthFormat, dataset: Dataset) -> str | None:

@@ -137,7 +137,7 @@ class _Reader:
         others = f", {places.left_out} of other frames left out" if places.left_out else ""
         where = path.relative_to(self._folder)
         self.about.append(f"trajectory: {where}, {written.form}, {shown} by {places.by}{others}")
-        hint = about_convention(written, self._settings, self.trajectory, rows, self._dataset.ground_truth())
+        hint = about_convention(written, self.trajectory, rows, self._dataset.ground_truth())
         self.about += [f"hint: {hint}"] if hint is not None else []
         self._remember_keyframes(written, places)
 

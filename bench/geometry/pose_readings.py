@@ -19,8 +19,8 @@ _GOOD = 0.05
 _CLEARLY = 5.0
 """So many times smaller the error of another reading must be. On 15 trajectories of ORB-SLAM2, whole and in parts, none
 is; a wrong convention has an error of 0.3 to 2, and the right reading of such a file 0.02."""
-_ALIKE = 1.3
-"""Of readings whose errors are closer than this factor, the one that changes least is told."""
+_ALIKE, _EXACT = 1.3, 1e-6
+"""Of readings whose errors are closer than this factor, or nothing at all, the one that changes least is told."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,15 @@ def _all_axes() -> list[tuple[str, int, Float]]:
 _READINGS = tuple(product(_WRITTEN, _all_axes()))
 
 
-def step_error(steps: Float, others: Float) -> float:
-    """How far motions (N, 4, 4) are off others: the median distance as a share of the others' median length, plus the
-    median angle in radians."""
-    apart = np.linalg.norm(steps[:, :3, 3] - others[:, :3, 3], axis=1)
-    turned = se3.rotation_angle(np.swapaxes(steps[:, :3, :3], 1, 2) @ others[:, :3, :3])
-    return float(np.median(apart) / np.median(np.linalg.norm(others[:, :3, 3], axis=1)) + np.median(turned))
+def alike(error: float, best: float) -> bool:
+    """Whether a reading fits as well as the best one."""
+    return error <= _ALIKE * best + _EXACT
+
+
+def step_error(T: Float, other: Float) -> float:
+    """How far the steps of poses (N, 4, 4) are off those of others: the median distance as a share of the others'
+    median length, plus the median angle in radians."""
+    return _error(_steps(T), _steps(other))
 
 
 def other_reading(T: Float, other: Float) -> Reading | None:
@@ -100,25 +103,31 @@ def other_reading(T: Float, other: Float) -> Reading | None:
 
     Steps are compared, so that it does not matter where the world is and how it is turned.
     """
-    length = max(1, len(T) // _STEPS)
-    true_steps = _steps(other, length)
+    true_steps = _steps(other)
     if len(true_steps) < _LEAST_STEPS or not np.median(np.linalg.norm(true_steps[:, :3, 3], axis=1)) > 0:
         return None
-    now = step_error(_steps(T, length), true_steps)
+    now = _error(_steps(T), true_steps)
     if now < _GOOD:
         return None
     readings = []
     for (written, changed, read), (axes, turns, Q) in _READINGS:
-        steps = _steps(read(T), length)
+        steps = _steps(read(T))
         turned = se3.compose(Q @ steps[:, :3, :3] @ Q.T, steps[:, :3, 3] @ Q.T)
         words = ", ".join(part for part in (written, axes) if part)
-        readings.append(Reading(words, step_error(turned, true_steps), now, changed + turns))
+        readings.append(Reading(words, _error(turned, true_steps), now, changed + turns))
     best = min(reading.error for reading in readings)
     if best * _CLEARLY > now:
         return None
-    alike = [reading for reading in readings if reading.error <= _ALIKE * best]
-    return min(alike, key=lambda reading: (reading.changes, reading.error))
+    fitting = [reading for reading in readings if alike(reading.error, best)]
+    return min(fitting, key=lambda reading: (reading.changes, reading.error))
 
 
-def _steps(T: Float, length: int) -> Float:
+def _steps(T: Float) -> Float:
+    length = max(1, len(T) // _STEPS)
     return se3.inverse(T[:-length]) @ T[length:]
+
+
+def _error(steps: Float, others: Float) -> float:
+    apart = np.linalg.norm(steps[:, :3, 3] - others[:, :3, 3], axis=1)
+    turned = se3.rotation_angle(np.swapaxes(steps[:, :3, :3], 1, 2) @ others[:, :3, :3])
+    return float(np.median(apart) / np.median(np.linalg.norm(others[:, :3, 3], axis=1)) + np.median(turned))

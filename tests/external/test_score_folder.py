@@ -125,6 +125,19 @@ def test_another_convention_is_hinted_at_and_can_be_said(
     assert "hint" not in capsys.readouterr().out
 
 
+def test_a_convention_that_no_option_names_is_hinted_at_too(
+    folder: Path, output: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Quaternions with w first: on the curve they turn about y, so that (0, y, 0, w) becomes (w, 0, y, 0)."""
+    (folder / "est.txt").unlink()
+    half = 0.01 * NUMBERS
+    columns = [0.1 * NUMBERS, *curve(NUMBERS)[:, :3, 3].T, np.cos(half), 0 * half, np.sin(half), 0 * half]
+    np.savetxt(folder / "est.txt", np.column_stack(columns))
+    metrics = score(folder, output)
+    assert "hint: estimate and ground truth seem to be written in different conventions" in capsys.readouterr().out
+    assert "quaternions in the order w x y z" in metrics["notes"]["convention"]
+
+
 def test_frame_numbers_and_positions(tmp_path: Path, output: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Frames 10, 12 ... 24 of a sequence; renders by position, the trajectory one line per frame of the whole of it."""
     settings = ("dataset.first=10", "dataset.step=2")
