@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import OmegaConf
+from rich.console import Console
 
 from bench.config import RunConfig
 from bench.errors import BenchError, did_you_mean
 from bench.hydra_settings import search_path
+from bench.sweeps.listing import list_plan
+from bench.sweeps.plan import Plan
+from bench.sweeps.sweep import Choice
 
 _OWN_CONFIG = (
     "the root config is the bench's own; put what differs into FOLDER/experiment/NAME.yaml and give "
@@ -82,6 +86,18 @@ def wants_config(args: argparse.Namespace) -> bool:
     if not wanted and (args.resolve or args.package):
         raise BenchError(f"{'--resolve' if args.resolve else '--package'} goes with --print-config or --cfg job.")
     return wanted
+
+
+def is_shown(plan: Plan, choice: Choice, args: argparse.Namespace, console: Console) -> bool:
+    """Print the configs of a plan's runs, or what would be made, where that is all that is wanted."""
+    if wants_config(args):
+        texts = (f"# {each.label}: {each.folder}\n{config_text(each.config, args.package)}" for each in plan.runs)
+        print("---\n".join(texts), end="")
+    elif args.dry_run:
+        list_plan(plan, choice, console)
+    else:
+        return False
+    return True
 
 
 def config_text(config: RunConfig, package: str | None) -> str:

@@ -10,13 +10,13 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.commands.hydra_flags import add_hydra_flags, given_overrides
+from bench.commands.hydra_flags import add_config_flags, add_hydra_flags, given_overrides, is_shown
 from bench.config import check_overrides, plugin_folders
 from bench.override_text import hydra_lines
 from bench.runs.config_file import CONFIG_FILE
 from bench.sweeps.launchers.choice import count_of_jobs, split_launcher
 from bench.sweeps.launchers.make import make_runs
-from bench.sweeps.listing import list_plan, list_skipped
+from bench.sweeps.listing import list_skipped
 from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import Plan, make_plan
 from bench.sweeps.sweep import Choice
@@ -65,6 +65,7 @@ def add_parser(subparsers: Any) -> None:
         "--out", type=Path, default=Path("results/tables"), metavar="FOLDER", help="default: results/tables"
     )
     parser.add_argument("--views", choices=VIEW_GROUPS, default="left", help="whose image metrics (default: all left)")
+    add_config_flags(parser)
     add_hydra_flags(parser)
     parser.set_defaults(run=run)
 
@@ -81,8 +82,7 @@ def run(args: argparse.Namespace) -> int:
     plan = make_plan(chosen, overrides, args.seeds or table.seeds)
     choice = Choice(interrupted=not args.missing, failed=args.rerun_failed)
     console = Console()
-    if args.dry_run:
-        list_plan(plan, choice, console)
+    if is_shown(plan, choice, args, console):
         return 0
     list_skipped(plan, console)
     wanted = [planned for planned in plan.runs if choice.wants(look_up(planned.folder).progress)]

@@ -15,7 +15,14 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from bench.commands.hydra_flags import add_config_flags, add_hydra_flags, config_text, given_overrides, wants_config
+from bench.commands.hydra_flags import (
+    add_config_flags,
+    add_hydra_flags,
+    config_text,
+    given_overrides,
+    is_shown,
+    wants_config,
+)
 from bench.config import RunConfig, compose_run
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
@@ -30,7 +37,7 @@ from bench.sweeps.combinations import plan_combinations, require_writable
 from bench.sweeps.experiment import table_experiments
 from bench.sweeps.launchers.choice import LauncherChoice, count_of_jobs, split_launcher
 from bench.sweeps.launchers.make import make_runs
-from bench.sweeps.listing import list_plan, list_skipped
+from bench.sweeps.listing import list_skipped
 from bench.sweeps.lookup import look_up
 from bench.sweeps.plan import Plan
 from bench.sweeps.search.settings import split_search
@@ -184,21 +191,9 @@ def _failure(error: BaseException, folder: Path) -> str:
     return f"The run failed: {type(error).__name__}: {text} (line {raised.lineno} of {raised.filename}{log_file})"
 
 
-def _is_shown(plan: Plan, choice: Choice, args: argparse.Namespace, console: Console) -> bool:
-    """Print the configs, or what would be made, where that is all that is wanted."""
-    if wants_config(args):
-        texts = (f"# {each.label}: {each.folder}\n{config_text(each.config, args.package)}" for each in plan.runs)
-        print("---\n".join(texts), end="")
-    elif args.dry_run:
-        list_plan(plan, choice, console)
-    else:
-        return False
-    return True
-
-
 def _search(search: Search, launcher: LauncherChoice, args: argparse.Namespace, console: Console) -> int:
     """Make the trials of a search; their table, and the best of them."""
-    if _is_shown(Plan((search.first,), (), search.root), Choice(), args, console):
+    if is_shown(Plan((search.first,), (), search.root), Choice(), args, console):
         if args.dry_run:
             say(f"then up to {search.config.trials - 1} trials that follow from the scores; {search.folder}", console)
         return 0
@@ -228,7 +223,7 @@ def _multirun(given: list[str], args: argparse.Namespace, console: Console) -> i
     plan = plan_combinations(overrides)
     rerun = any(planned.config.values["rerun"] for planned in plan.runs)
     choice = Choice(failed=True, finished=rerun)
-    if _is_shown(plan, choice, args, console):
+    if is_shown(plan, choice, args, console):
         return 0
     require_writable(plan.root)
     list_skipped(plan, console)

@@ -276,7 +276,7 @@ def test_a_launcher_that_is_not_installed(monkeypatch: pytest.MonkeyPatch, capfd
 
 def test_launchers_are_for_sweeps(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "launcher=joblib"]) == 2
-    assert capfd.readouterr().err == "bgs-bench: launcher= and --jobs are for many runs; add -m.\n"
+    assert capfd.readouterr().err == "bgs-bench: launcher=, sweeper= and --jobs are for many runs; add -m.\n"
 
 
 def test_presets_and_their_settings() -> None:
