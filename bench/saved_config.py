@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ def overrides_of(folder: Path, changes: Sequence[str]) -> list[str]:
     choices = dict(_choices(saved))
     chosen = {change.key_or_group.replace("/", ".") for change in parsed} & choices.keys()
     chosen |= set(_OF_A_SYSTEM) if "system" in chosen else set()
+    _require_code_said(folder, saved, chosen | {change.key_or_group for change in parsed})
 
     def is_kept(key: str) -> bool:
         return not any(key == each or key.startswith(f"{each}.") for each in chosen)
@@ -74,6 +76,20 @@ def _require_plugins(folder: Path, saved: Mapping[str, Any]) -> None:
                 raise BenchError(
                     f"--from {folder}: there is no {kind} '{name}' here. The plugin folders that a run "
                     "folder names are not imported; if you trust them, repeat plugins=[FOLDER]."
+                )
+
+
+def _require_code_said(folder: Path, saved: Mapping[str, Any], said: set[str]) -> None:
+    """Raise ``BenchError`` for a setting that names code (``field(metadata={"code": True})``): a run folder can't."""
+    for kind in RUN_KINDS:
+        if kind in SEVERAL_AT_ONCE or kind in said:
+            continue
+        for setting in dataclasses.fields(registry.lookup(kind, saved[kind]["name"]).config):
+            key, value = f"{kind}.{setting.name}", saved[kind].get(setting.name)
+            if setting.metadata.get("code") and value and key not in said:
+                raise BenchError(
+                    f"--from {folder}: {key}={value} would run code that the run folder names. If you trust it, repeat "
+                    f"{key}={as_value(value)}."
                 )
 
 

@@ -6,6 +6,7 @@ left camera image_00, "cam0" the same one before rectification, "pose" the vehic
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -260,13 +261,15 @@ def read_image_times(path: Path, ids: Sequence[int], there: Sequence[int]) -> Fl
 
 def _time(text: str, path: Path, line: int) -> np.datetime64:
     try:
-        time = np.datetime64(text.strip(), "ns")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # of time zones, which numpy guesses at
+            time = np.datetime64(text.strip(), "ns")
         known = not np.isnat(time)
-    except ValueError:
+    except (ValueError, Warning):
         known = False
     if not known:
         raise BenchError(
-            f"{path}, line {line}: '{text.strip()}' is no time; expected 'YYYY-MM-DD hh:mm:ss.nnnnnnnnn'. Restore the "
-            "file."
+            f"{path}, line {line}: '{text.strip()[:40]}' is no time; expected 'YYYY-MM-DD hh:mm:ss.nnnnnnnnn'. "
+            "Restore the file."
         )
     return time

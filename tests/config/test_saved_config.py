@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,18 @@ def test_code_that_a_run_folder_names_is_never_imported(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match=r"there is no stereo 'my_net' here\..* repeat plugins=\[FOLDER\]\."):
         overrides_of(run, [])
     assert not (tmp_path / "imported").exists()
+
+
+@pytest.mark.parametrize("setting", ["checkout: /their/code", "python: /their/python", "trust_pickle: true"])
+def test_a_setting_that_runs_code_is_said_again(tmp_path: Path, setting: str) -> None:
+    run = saved(tmp_path / "a", "stereo=igev", "stereo.weights=/w.pth")
+    key, _, value = setting.partition(": ")
+    text = (run / "config.yaml").read_text()
+    (run / "config.yaml").write_text(re.sub(rf"  {key}: .*", f"  {setting}", text))
+    with pytest.raises(BenchError, match=rf"stereo\.{key}=\S+ would run code that the run folder names\. .* repeat"):
+        overrides_of(run, [])
+    said = overrides_of(run, [f"stereo.{key}={value}"])
+    assert f"stereo.{key}={value}" in said
 
 
 def test_a_finished_run_is_made_again_beside_itself(

@@ -38,7 +38,7 @@ runpy.run_module("bench.stereo.upstream.worker", run_name="__main__")
 class UpstreamConfig(NetworkConfig):
     """Where the authors' network comes from: ``checkout`` and ``weights``, or ``onnx``."""
 
-    checkout: str = field(default="", metadata={"path": True})
+    checkout: str = field(default="", metadata={"path": True, "code": True})
     """Folder of the authors' repository, as `git clone` makes it."""
     onnx: str = field(default="", metadata={"path": True})
     """An ONNX file made from the network; it takes the place of checkout and weights."""
@@ -47,9 +47,9 @@ class UpstreamConfig(NetworkConfig):
     positive, in pixels."""
     iterations: int = 0
     """Updates of the recurrent network; 0: as many as its authors use on KITTI."""
-    python: str = field(default="", metadata={"path": True})
+    python: str = field(default="", metadata={"path": True, "code": True})
     """Interpreter (3.9 or newer, with torch and numpy) of an environment made for the network; empty: the bench's."""
-    trust_pickle: bool = False
+    trust_pickle: bool = field(default=False, metadata={"code": True})
     """Read a checkpoint that can run any code while it is read. Only for files from someone you trust."""
     start_timeout_s: float = 600.0
     """Without a loaded network after this time ..."""
