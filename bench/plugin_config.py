@@ -47,6 +47,7 @@ def _parse(kind: str, plugin: Plugin, mapping: Mapping[str, Any]) -> PluginConfi
                 f"{kind}={plugin.name} has no setting '{key}'; it has {', '.join(accepted)}."
                 f"{did_you_mean(key, accepted)}"
             )
+    prefix = f"{kind}.{plugin.name}" if kind in SEVERAL_AT_ONCE else kind
     inner = registry.plugin_fields(plugin.config)
     own = {key: value for key, value in mapping.items() if key not in inner}
     try:
@@ -54,12 +55,12 @@ def _parse(kind: str, plugin: Plugin, mapping: Mapping[str, Any]) -> PluginConfi
         _check_lengths(kind, plugin.config, merged)
         config = OmegaConf.to_object(merged)
     except OmegaConfBaseException as error:
-        where = f"{kind}.{error.full_key}" if error.full_key else f"{kind}={plugin.name}"
+        where = f"{prefix}.{error.full_key}" if error.full_key else f"{kind}={plugin.name}"
         raise BenchError(f"{where}: {first_line(error)}") from error
     except (TypeError, ValueError) as error:  # its own check, of a value that is not of its kind
         raise BenchError(f"{kind}={plugin.name}: {first_line(error)}") from error
     assert isinstance(config, plugin.config)
-    check_numbers(f"{kind}.{plugin.name}" if kind in SEVERAL_AT_ONCE else kind, config)
+    check_numbers(prefix, config)
     chosen: dict[str, Any] = {key: _inner(kind, key, inner[key], mapping[key]) for key in inner if key in mapping}
     return dataclasses.replace(config, **chosen) if chosen else config
 

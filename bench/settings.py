@@ -66,8 +66,8 @@ def check_numbers(where: str, config: Any) -> None:
     """Raise ``BenchError`` for the first setting, nested and listed ones too, that is NaN, infinite or beyond 32 bits.
 
     ``where`` is how the user begins the settings' names, for example ``"mapper"``. A float may be infinite where its
-    field says so: ``field(default=..., metadata={"infinite": True})``. What else a number must be is up to the config's
-    own ``__post_init__``.
+    field says so: ``field(default=..., metadata={"infinite": True})``; defaults are always taken. What else a number
+    must be is up to the config's own ``__post_init__``.
     """
     for field in dataclasses.fields(config):
         value, name = getattr(config, field.name), f"{where}.{field.name}"
@@ -78,7 +78,8 @@ def check_numbers(where: str, config: Any) -> None:
             continue
         for each in value if isinstance(value, (list, tuple)) else [value]:
             if isinstance(each, float) and not math.isfinite(each):
-                if math.isnan(each) or not field.metadata.get("infinite"):
+                allowed = field.metadata.get("infinite") and not math.isnan(each)
+                if not allowed and repr(each) != repr(field.default):  # NaN differs from itself
                     shown = list(value) if isinstance(value, tuple) else value
                     raise BenchError(f"{name}={shown} is no number to work with; give a finite one.")
             elif isinstance(each, int) and abs(each) > LARGEST:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, make_dataclass
 from typing import Any
 
 import pytest
@@ -176,6 +176,10 @@ def test_a_protocols_numbers(setting: str, value: float) -> None:
 def test_a_plugin_of_the_users_is_checked_too() -> None:
     """One whose config has no check of its own; an infinite default of theirs would need the field's word."""
     check_numbers("mine", DerivedConfig())
+    unset = make_dataclass("Unset", [("limit_m", float, math.inf), ("height_m", float, math.nan)])
+    check_numbers("mine", unset())
+    with pytest.raises(BenchError, match=r"^mine\.limit_m=-inf is no number"):
+        check_numbers("mine", unset(limit_m=-math.inf))
     with pytest.raises(BenchError, match=r"^mine\.weight=nan is no number to work with; give a finite one\.$"):
         check_numbers("mine", DerivedConfig(weight=float("nan")))
     with pytest.raises(BenchError, match=r"^mine\.inner\.far_m=inf is no number"):
