@@ -127,8 +127,7 @@ class OnnxStereo(StereoNetwork):
         self._outputs = [choose_output(outputs, graph.output, self._path)]
         if config.confidence:
             self._outputs.append(find_tensor(outputs, config.confidence, "confidence", self._path))
-        read = "; ".join([*(feed.in_words() for feed in self._feeds), f"disparity: {describe(self._outputs[0])}"])
-        log.info("stereo=onnx: %s: %s, %s", self._path.name, read, f"in the unit {graph.unit}, times {graph.gain:g}")
+        self._is_told = False
 
     @staticmethod
     def unavailable_reason() -> str | None:
@@ -155,6 +154,7 @@ class OnnxStereo(StereoNetwork):
 
     def match(self, left: Image, right: Image) -> Matched:
         """One pass of the graph over a pair; raises ``BenchError`` where it refuses it or gives another shape."""
+        self._tell()
         pair, fed, window = self._fitted(left, right)
         feed = {each.tensor.name: array_of(each, pair, self._graph, self._path) for each in self._feeds}
         answers = run_session(self._session, [tensor.name for tensor in self._outputs], feed, self._path)
@@ -175,6 +175,15 @@ class OnnxStereo(StereoNetwork):
             np.ascontiguousarray(disparity[window]),
             None if confidence is None else np.ascontiguousarray(confidence[window]),
         )
+
+    def _tell(self) -> None:
+        """Say once what was read from the file; not before the first pair, as a run's log begins after its parts."""
+        if self._is_told:
+            return
+        self._is_told = True
+        read = "; ".join([*(feed.in_words() for feed in self._feeds), f"disparity: {describe(self._outputs[0])}"])
+        graph = self._graph
+        log.info("%s: %s, stereo.unit=%s, stereo.gain=%g", self._path.name, read, graph.unit, graph.gain)
 
     def _fitted(self, left: Image, right: Image) -> tuple[dict[str, Image], tuple[int, int], Window | None]:
         """The pair at a size that the graph takes, that size, and the image's place in it (None: it was resized)."""

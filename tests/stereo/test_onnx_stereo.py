@@ -90,8 +90,10 @@ def test_a_smaller_output_is_brought_to_the_images_size(
 
 def test_what_was_read_from_the_file_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     file = block_matcher(tmp_path / "net.onnx", colours=1, stacked="channels", names=("x", "x", "disp"))
+    network = opened(file)
     with caplog.at_level("INFO"):
-        opened(file)
+        for _ in range(2):
+            network.disparity(*shifted_pair(HEIGHT, WIDTH, SHIFT))
     (line,) = caplog.messages
     assert "left and right: 'x' (1, 2, h, w) float, grey, nchw; disparity: 'disp' (1, 1, h, w) float" in line
 
