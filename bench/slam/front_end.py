@@ -36,7 +36,7 @@ class Seen:
 
 def front_end(system: System, first: int = 0) -> Generator[Seen, None, None]:
     """Tracking, keyframing, stereo and sky of every frame from position ``first`` on, in order."""
-    check = PairCheck(system.dataset)
+    check = PairCheck(system.dataset, first)
     doubts = [*system.dataset.to_tell(), check.about_camera()] if first == 0 else []
     for position, frame, checksum in prefetch(system.dataset, first):
         doubts.append(check.look(position, frame))

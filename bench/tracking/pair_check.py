@@ -198,14 +198,17 @@ def _robust_fit(design: Float, values: Float) -> Float:
 
 
 class PairCheck:
-    """Looks at frames of a run, the first ones and now and then a later one, and tells of a fault once."""
+    """Looks at frames of a run, the first ones and now and then a later one, and tells of a fault once.
 
-    def __init__(self, dataset: Dataset) -> None:
+    ``first`` is the position where a run is resumed: what the frames before it are was told then.
+    """
+
+    def __init__(self, dataset: Dataset, first: int = 0) -> None:
         self._dataset = dataset
         self._extractor = OrbExtractor(_FEATURES)
         self._parts: list[PairMatches] = []
         self._before: tuple[int, Features] | None = None
-        self._wanted = _FIRST
+        self._wanted = _FIRST if first == 0 else _LATER
         self._told = False
 
     def about_camera(self) -> str | None:
