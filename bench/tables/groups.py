@@ -22,6 +22,8 @@ _SHOWN = ("system", "dataset.name", "stereo.name", "tracker.name")
 _TOLD = ("dataset", "system", "stereo", "tracker")
 # What choosing a system chooses too.
 _OF_A_SYSTEM = ("mapper", "loss")
+# What is beyond is no number that anyone measured, nor NaN: it is shown as it is.
+_LARGEST = 1e300
 _WORDS = {"True": "true", "False": "false", "None": "null"}
 
 
@@ -106,7 +108,7 @@ def _settings_of(run: RunRecord) -> Settings:
             found = {
                 key: value for key, value in found.items() if (key.split(".")[0], key.split(".")[-1]) != (kind, "name")
             }
-            found[kind] = f"[{','.join(sorted(part))}]"
+            found[kind] = f"[{','.join(sorted(map(str, part)))}]"
     return found
 
 
@@ -156,7 +158,7 @@ def _mean_of(rows: Sequence[Row]) -> Row:
     values: dict[str, Any] = {}
     for key in first.values:
         known = [row.values[key] for row in ordered if row.values.get(key) is not None]
-        if known and all(is_number(value) for value in known):
+        if known and all(is_number(value) and abs(value) < _LARGEST for value in known):
             same = len(set(known)) == 1
             values[key] = known[0] if same else statistics.fmean(known)
             values[f"{key}{STD}"] = statistics.stdev(known) if len(known) > 1 else None
