@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import itertools
 import json
 import typing
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.types import Glob, Override, RangeSweep
+from hydra.core.override_parser.types import Override
 from hydra.errors import ConfigCompositionException, HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -34,8 +33,6 @@ from bench.protocol import Protocol
 from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, PluginConfig
 from bench.runs.config_file import NO_PART_OF_THE_RUN, RUNS_FOLDER
 from bench.runs.watchdog import LimitsConfig
-
-INSTEAD_OF_AN_INTERVAL = "Add sweeper=optuna sweeper.metric=NAME, or write a,b,c or range(FROM,TO,STEP)."
 
 
 @dataclass
@@ -171,63 +168,6 @@ def compose_run(overrides: Sequence[str]) -> RunConfig:
         raise BenchError(f"A config names the plugin folder {others[0]}; give it on the command line, plugins=[...].")
     config.parse()
     return config
-
-
-def combinations(overrides: Sequence[str]) -> list[list[str]]:
-    """The overrides of every combination of the values that ``-m`` would run; raises ``BenchError`` for wrong ones."""
-    choices: list[list[str]] = []
-    parsed = check_overrides(hydra_lines(overrides))
-    folders = config_folders(parsed)
-    for override in parsed:
-        line = override.input_line or ""
-        if not override.is_sweep_override():
-            choices.append([line])
-            continue
-        if override.is_interval_sweep():
-            raise BenchError(f"{line}: an interval is searched, not enumerated. {INSTEAD_OF_AN_INTERVAL}")
-        try:
-            choices.append([f"{override.get_key_element()}={value}" for value in _values(override, folders)])
-        except HydraException as error:
-            raise BenchError(f"{line}: {first_line(error)}. Write the values with commas between them.") from error
-    return [list(cell) for cell in itertools.product(*choices)]
-
-
-def glob_choices(override: Override, folders: Sequence[Path]) -> dict[str, str]:
-    """The names that ``stereo=glob(...)`` fits, each with why it can't run here, or an empty string.
-
-    Raises ``BenchError`` for a glob of what is no choice of a plugin or preset, and where nothing that fits can run.
-    """
-    glob, group = override.value(), override.key_or_group.replace(".", "/")
-    assert isinstance(glob, Glob)
-    options = options_of(group, folders)
-    if not options:
-        raise BenchError(
-            f"{override.input_line}: glob(...) chooses plugins and presets, as stereo=glob(*). Write a,b,c here."
-        )
-    kind = registry.nested_groups.get(group, group)
-    found = {}
-    for name in glob.filter(options):
-        plugin = registry.lookup(kind, name) if name in registry.names(kind) else None  # else a preset
-        found[name] = "" if plugin is None else plugin.unavailable_reason() or plugin.missing_weights() or ""
-    if all(found.values()):
-        raise BenchError(f"{override.input_line} fits nothing that can run here; there are {', '.join(options)}.")
-    return found
-
-
-def _values(override: Override, folders: Sequence[Path]) -> list[str]:
-    """What a swept override enumerates; raises ``HydraException`` for an impossible range."""
-    sweep = override.value()
-    if isinstance(sweep, Glob):
-        return [name for name, reason in glob_choices(override, folders).items() if not reason]
-    if isinstance(sweep, RangeSweep) and not sweep.shuffle:
-        # As one writes them: not 0.30000000000000004.
-        return [str(round(value, 12)) for value in sweep.range()]
-    return list(override.sweep_string_iterator())
-
-
-def compose_sweep(overrides: Sequence[str]) -> list[RunConfig]:
-    """Compose every combination that ``-m`` would run, so that a wrong value is known before the first run starts."""
-    return [compose_run(cell) for cell in combinations(overrides)]
 
 
 def resolved(composed: DictConfig) -> RunConfig:

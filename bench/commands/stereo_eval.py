@@ -12,13 +12,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bench import registry
-from bench.config import RunConfig, compose_sweep
+from bench.config import RunConfig
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.evaluation.stereo_backbone import require_truth
 from bench.evaluation.stereo_process import Broken, score_in_process
 from bench.plugin_config import plugin_config_from
 from bench.runs.config_file import read_config
+from bench.swept_values import compose_sweep
 from bench.tables.collect import find_runs
 from bench.tables.document.csv_text import data_as_csv
 from bench.tables.document.forms import form_of, save, text_of

@@ -8,13 +8,14 @@ from pathlib import Path
 
 from hydra.core.override_parser.types import Glob, Override
 
-from bench.config import check_overrides, combinations, glob_choices
+from bench.config import check_overrides
 from bench.errors import BenchError
 from bench.hydra_settings import config_folders
 from bench.override_text import hydra_lines, quoted
 from bench.runs.config_file import RUNS_FOLDER
 from bench.sweeps.experiment import EXPERIMENT, expand_experiment
 from bench.sweeps.plan import Plan, PlannedRun, Skipped, compose_cell, sharing
+from bench.swept_values import combinations, glob_choices
 from bench.tables.named.definitions import Cell
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from bench import registry
-from bench.config import compose_run, compose_sweep, register_schema
+from bench.config import compose_run, register_schema
 from bench.errors import BenchError
 from bench.plugin_config import plugin_config_from
 from bench.registry import PluginConfig, register
+from bench.swept_values import compose_sweep
 from plugins.stereo.sgbm import SgbmConfig
 
 REFUSED = {

@@ -8,10 +8,11 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from bench.cli import main
-from bench.config import combinations, compose_run
+from bench.config import compose_run
 from bench.errors import BenchError
 from bench.hydra_settings import as_value, search_path
 from bench.sweeps.combinations import expand_globs, plan_combinations
+from bench.swept_values import combinations
 
 MINE = "# @package _global_\ndefaults:\n  - override /mapper: gaussian_fast\n  - override /sky: none\nseed: 3\n"
 

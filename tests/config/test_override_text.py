@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.config import check_overrides, combinations, compose_run
+from bench.config import check_overrides, compose_run
 from bench.errors import BenchError
 from bench.override_text import as_one_value, hydra_lines, quoted
+from bench.swept_values import combinations
 
 PATHS = [
     *("/data/Видео/L", "/data/Müller/é", "/data/[raw]/L", "/data/a (1)/L", "/data/a=b/L", "/data/#1/&2/L"),

@@ -30,6 +30,7 @@ from bench.sweeps.search.space import split_space
 from bench.sweeps.sweep import Choice
 from bench.sweeps.view import SweepView
 from bench.tables.named.definitions import Cell
+from bench.terminal import say
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -176,7 +177,7 @@ class Search:
             else:
                 study.tell(number, value)
                 name = self.metric.path or self.metric.key
-                console.print(f"{run.cell.row}: {name} {value:g}", markup=False, highlight=False, soft_wrap=True)
+                say(f"{run.cell.row}: {name} {value:g}", console)
 
     def _score(self, run: PlannedRun) -> float | None:
         if look_up(run.folder).progress != "finished":
