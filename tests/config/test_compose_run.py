@@ -188,6 +188,7 @@ def test_paths_are_absolute_and_home_is_known(
     }
     assert relative.hash == absolute.hash == home.hash
     (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.py").touch()  # a folder without plugin files is refused
     assert compose_run(["plugins=[~/mine]"]).values["plugins"] == [str(tmp_path / "mine")]
 
 

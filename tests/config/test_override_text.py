@@ -47,6 +47,7 @@ def test_lists_of_paths(tmp_path: Path) -> None:
     folders = [tmp_path / "ü [1]", tmp_path / "b"]
     for folder in folders:
         folder.mkdir()
+        (folder / "notes.py").touch()  # a folder without plugin files is refused
     config = compose_run([f"plugins=[{folders[0]},{folders[1]}]"])
     assert config.values["plugins"] == [str(folder) for folder in folders]
 
