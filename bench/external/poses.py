@@ -19,7 +19,7 @@ from bench.io.foreign import MOST_TEXT, plain_size, reading
 from bench.io.json_files import load_json
 from bench.io.numpy_files import npy_header, npz_headers, read_npy, read_npz
 from bench.io.torch_files import MOST_BYTES, load_tensors
-from bench.io.trajectories import read_kitti_poses, read_tum
+from bench.io.trajectories import FARTHEST_M, read_kitti_poses, read_tum
 from bench.types import Float
 
 TEXT, ARRAY, TORCH = (".txt", ".tum", ".kitti"), (".npy", ".npz"), (".ckpt", ".tar", ".pt", ".pth")
@@ -198,10 +198,11 @@ def _checked(poses: Any, path: Path) -> Float:
 
 
 def _require_finite(values: Float, path: Path) -> None:
-    wrong = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    wrong = ~(np.abs(values.reshape(len(values), -1)) <= FARTHEST_M).all(axis=1)
     if wrong.any():
         raise BenchError(
-            f"{path}, pose {int(np.argmax(wrong))} (from 0) is not finite. Leave such poses out: as TUM, with times."
+            f"{path}, pose {int(np.argmax(wrong))} (from 0) is not finite, or holds a number above {FARTHEST_M:g}. "
+            "Leave such poses out: as TUM, with times."
         )
 
 

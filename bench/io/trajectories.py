@@ -19,6 +19,8 @@ from bench.types import Float, Trajectory
 
 _ROTATION_TOLERANCE = 1e-2
 """How far R R^T may be from the identity: above the rounding of files with four digits, below any wrong matrix."""
+FARTHEST_M = 1e9
+"""No camera gets so far, in any frame of the Earth's; the squares of such numbers fill a float."""
 
 
 def read_kitti_poses(path: Path | str) -> Float:
@@ -30,6 +32,7 @@ def read_kitti_poses(path: Path | str) -> Float:
     path = Path(path)
     table, lines = _read_table(path, 12, "12 numbers (the 3x4 pose, row by row)", lines_count=True)
     known = _known(table, table.reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9), path)
+    _require_near(table[:, 3::4], lines, path)
     T = np.tile(np.eye(4), (int(known.sum()), 1, 1))
     T[:, :3] = table[known].reshape(-1, 3, 4)
     R = T[:, :3, :3]
@@ -44,6 +47,16 @@ def read_kitti_poses(path: Path | str) -> Float:
     poses = np.full((len(table), 4, 4), np.nan)
     poses[known] = se3.orthonormalise(T)
     return poses
+
+
+def _require_near(positions: Float, lines: list[int], path: Path) -> None:
+    """Raise ``BenchError`` for the first line whose position (N, 3) is farther off than any."""
+    far = (np.isfinite(positions) & (np.abs(positions) > FARTHEST_M)).any(axis=1)
+    if far.any():
+        raise BenchError(
+            f"{path}, line {lines[int(np.argmax(far))]}: the position is farther than {FARTHEST_M:g} m. Is the file "
+            "damaged, or in another unit?"
+        )
 
 
 def known_poses(T: Float) -> npt.NDArray[np.bool_]:
@@ -70,7 +83,9 @@ def read_tum_lines(path: Path | str) -> tuple[Float, Float]:
     path = Path(path)
     table, lines = _read_table(path, 8, "8 numbers: timestamp tx ty tz qx qy qz qw", lines_count=False)
     known = _known(table, table[:, 4:], path)
-    length = np.linalg.norm(table[:, 4:], axis=1)
+    _require_near(table[:, 1:4], lines, path)
+    with np.errstate(all="ignore"):  # of numbers without measure
+        length = np.linalg.norm(table[:, 4:], axis=1)
     wrong = known & (np.abs(length - 1.0) > _ROTATION_TOLERANCE)
     if wrong.any():
         at = int(np.argmax(wrong))

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +15,7 @@ from bench.contracts.dataset import Dataset
 from bench.contracts.stereo import DepthSource
 from bench.errors import BenchError
 from bench.evaluation.stereo_backbone import LIDAR, TRUE_DISPARITY, require_truth, score_backbone
+from bench.evaluation.stereo_process import _without_the_current_folder
 from bench.types import DepthMap, Map, StereoCamera, StereoFrame
 
 IMAGE = np.zeros((2, 8, 3), np.uint8)
@@ -102,3 +107,13 @@ def test_nothing_to_score_against() -> None:
     for check in (require_truth, lambda dataset: score_backbone(dataset, Recording())):
         with pytest.raises(BenchError, match="pairs has neither disparities nor LiDAR to score stereo against"):
             check(Pairs("none", True))
+
+
+def test_its_process_takes_no_module_from_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "json.py").write_text("open('proof', 'w').close()\n")
+    monkeypatch.chdir(tmp_path)
+    before = dict(os.environ)
+    with _without_the_current_folder():
+        subprocess.run([sys.executable, "-S", "-c", "import json"], check=True)
+    assert dict(os.environ) == before
+    assert not (tmp_path / "proof").exists()

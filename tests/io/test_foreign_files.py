@@ -265,3 +265,18 @@ def test_text_that_is_plain_comes_back_as_it_is() -> None:
         assert plain_line(text) == text
     assert len(plain_line("x" * 10**7)) == 5000
     assert len(plain_line("x\n" * 10**7)) <= 5000
+
+
+@pytest.mark.parametrize("name", ["est.txt", "est.tum", "est.npy"])
+def test_positions_without_measure(tmp_path: Path, name: str) -> None:
+    """Their squares are no numbers any more, and neither would the errors be."""
+    T = POSES.copy()
+    T[1, 0, 3] = 1e300
+    if name == "est.npy":
+        np.save(tmp_path / name, T)
+    elif name == "est.tum":
+        np.savetxt(tmp_path / name, [[k, *T[k, :3, 3], 0, 0, 0, 1] for k in range(3)])
+    else:
+        np.savetxt(tmp_path / name, T[:, :3].reshape(3, 12))
+    with pytest.raises(BenchError, match=r"line 2: the position is farther|pose 1 \(from 0\) is not finite, or holds"):
+        read_written_poses(tmp_path / name)
