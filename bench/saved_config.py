@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bench import registry
-from bench.config import check_overrides, compose_run, options_of
+from bench.config import RootConfig, check_overrides, compose_run, options_of
 from bench.errors import BenchError
 from bench.hydra_settings import EXPERIMENT, as_value
 from bench.override_text import hydra_lines
@@ -18,6 +19,7 @@ from bench.runs.system_name import external_name
 
 # Where a run lay and how it was started is no part of making it again; nor is whose code it imported.
 _LEFT_OUT = ("output", "rerun", "resume", "plugins")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 # What choosing a system chooses too.
 _OF_A_SYSTEM = ("mapper", "loss")
 
@@ -63,6 +65,9 @@ def _read(folder: Path) -> dict[str, Any]:
         )
     if external_name(known[0]) is not None:
         raise BenchError(f"--from {folder}: it is another system's output, scored; there is nothing to run again.")
+    names = [setting.name for setting in dataclasses.fields(RootConfig)]
+    if others := [key for key in known[0] if key not in names]:
+        raise BenchError(f"--from {folder}: its config.yaml has a setting {others[0]!r}, which no run has. Remove it.")
     for part in (*RUN_KINDS, "protocol"):
         if not isinstance(known[0].get(part), dict):
             raise BenchError(f"--from {folder}: its config.yaml has no settings of {part}. Give another run folder.")
@@ -110,6 +115,9 @@ def _choices(saved: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     for key, value in config.items():
+        # A stranger's file: what is no plain name could be read as an override of something else.
+        if not (isinstance(key, str) and _NAME.fullmatch(key)):
+            raise BenchError(f"The config has a setting {prefix}{key!r}, which is no name. Remove it.")
         if isinstance(value, Mapping) and value:
             yield from _flat(value, f"{prefix}{key}.")
         elif key != "name" or prefix.partition(".")[0] not in RUN_KINDS:

@@ -67,6 +67,30 @@ def test_a_setting_that_runs_code_is_said_again(tmp_path: Path, setting: str) ->
     assert f"stereo.{key}={value}" in said
 
 
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("hydra: {searchpath: [/evil]}", "a setting 'hydra', which no run has"),
+        ("'plugins ': [/evil]", "a setting 'plugins ', which no run has"),
+        ("+plugins: [/evil]", r"a setting '\\+plugins', which no run has"),
+    ],
+)
+def test_a_config_sets_nothing_but_a_runs_settings(tmp_path: Path, line: str, message: str) -> None:
+    run = saved(tmp_path / "a")
+    with (run / "config.yaml").open("a") as file:
+        file.write(f"{line}\n")
+    with pytest.raises(BenchError, match=message):
+        overrides_of(run, [])
+
+
+def test_settings_below_a_plugin_have_plain_names(tmp_path: Path) -> None:
+    run = saved(tmp_path / "a")
+    text = (run / "config.yaml").read_text()
+    (run / "config.yaml").write_text(text.replace("  name: sgbm\n", "  name: sgbm\n  'x=1 plugins': [/evil]\n"))
+    with pytest.raises(BenchError, match=r"a setting stereo\.'x=1 plugins', which is no name"):
+        overrides_of(run, [])
+
+
 def test_a_finished_run_is_made_again_beside_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
