@@ -72,7 +72,7 @@ def test_a_setting_that_runs_code_is_said_again(tmp_path: Path, setting: str) ->
     [
         ("hydra: {searchpath: [/evil]}", "a setting 'hydra', which no run has"),
         ("'plugins ': [/evil]", "a setting 'plugins ', which no run has"),
-        ("+plugins: [/evil]", r"a setting '\\+plugins', which no run has"),
+        ("+plugins: [/evil]", r"a setting '\+plugins', which no run has"),
     ],
 )
 def test_a_config_sets_nothing_but_a_runs_settings(tmp_path: Path, line: str, message: str) -> None:
