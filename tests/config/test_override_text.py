@@ -21,11 +21,16 @@ PATHS = [
 
 @pytest.mark.parametrize("path", PATHS)
 def test_a_path_arrives_as_it_was_typed(path: str) -> None:
-    config = compose_run(["dataset=folder", f"dataset.left={path}", f"output={path}"])
-    assert config.values["dataset"]["left"] == str(Path(path).absolute())
-    assert config.values["output"] == path
+    left, output = check_overrides(hydra_lines([f"dataset.left={path}", f"output={path}"]))
+    assert (left.value(), output.value()) == (path, path)
     (alone,) = combinations([f"output={path}"])
-    assert compose_run(alone).values["output"] == path
+    assert check_overrides(alone)[0].value() == path
+
+
+def test_it_arrives_in_the_config_too() -> None:
+    config = compose_run(["dataset=folder", "dataset.left=Видео/it's [1]", "output=/data/it's [1]=#&\\x"])
+    assert config.values["dataset"]["left"] == str(Path("Видео/it's [1]").absolute())
+    assert config.values["output"] == "/data/it's [1]=#&\\x"
 
 
 @pytest.mark.parametrize("path", [*PATHS, "/a,b", "null", "12", "/a\\'b", "\\\\"])
@@ -38,9 +43,7 @@ def test_quoted_is_read_back(path: str) -> None:
 
 @pytest.mark.parametrize("path", ["2024_11_28", "1e3", "true", "007", "1.50"])
 def test_a_path_that_looks_like_a_number_stays_one(path: str) -> None:
-    config = compose_run(["dataset=folder", f"dataset.left={path}", f"output={path}"])
-    assert config.values["output"] == path
-    assert config.values["dataset"]["left"] == str(Path(path).absolute())
+    assert [override.value() for override in check_overrides([f"dataset.left={path}", f"output={path}"])] == [path] * 2
 
 
 def test_lists_of_paths(tmp_path: Path) -> None:
