@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from fake_runs import ALL_TERMS, FRAMES, config, make_mixed_runs, make_run, metrics
+from test_documents import nasty
 
 from bench.cli import main
+from bench.tables.document.latex import as_latex
 from bench.tables.document.latex_text import latex_text
 from bench.tables.named.find import table_names
 from bench.tables.named.table import make_table
@@ -103,6 +106,16 @@ def test_every_table_compiles_and_fits_its_page(name: str, full: Path, tmp_path:
         assert "33.96" in printed, "SplaTAM's ATE on 10"
         assert "20.33 ± 0.33 (3)" in printed
         assert "a < b | 50 % & $x" in printed, "the reason of the run without memory"
+
+
+@pytest.mark.skipif(PDFLATEX is None, reason="there is no pdflatex here")
+@pytest.mark.parametrize("title", ["", "x}\\n\\input{/etc/passwd}"])
+def test_nasty_text_compiles(title: str, tmp_path: Path) -> None:
+    text = as_latex(replace(nasty(), title=title))
+    (tmp_path / "t.tex").write_text(DOCUMENT % (text if title else rf"\resizebox{{\textwidth}}{{!}}{{{text}}}"))
+    command = [str(PDFLATEX), "-interaction=nonstopmode", "-halt-on-error", "t.tex"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
 
 
 @pytest.mark.skipif(PDFLATEX is None, reason="there is no pdflatex here")
