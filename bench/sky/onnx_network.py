@@ -12,6 +12,7 @@ import numpy.typing as npt
 import torch
 
 from bench.errors import BenchError, did_you_mean
+from bench.io.file_kind import what_it_is
 from bench.types import Image
 
 # Mean and standard deviation of ImageNet's RGB values in [0, 1], which networks pretrained on it expect.
@@ -90,7 +91,7 @@ def _open(path: Path, setting: str) -> Any:
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's errors have no common class but this one
-        reason = " ".join(str(error).split())
+        reason = what_it_is(path) or " ".join(str(error).split())
         raise BenchError(
             f"{setting}.weights: {path} can't be loaded as an ONNX network ({reason}). Copy or export it again."
         ) from error

@@ -10,8 +10,8 @@ from typing import Any
 import torch
 
 from bench.errors import BenchError
+from bench.io.file_kind import what_it_is
 from bench.io.torch_files import load_tensors
-from bench.weights.no_weights import what_it_is
 
 # Under which key training scripts save the network's tensors, beside the epoch, the optimizer and the like.
 _WRAPPERS = ("state_dict", "model_state_dict", "model", "net", "network", "params", "weights")

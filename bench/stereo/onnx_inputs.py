@@ -98,8 +98,8 @@ def array_of(feed: Feed, pair: dict[str, Image], graph: StereoGraph, path: Path)
         if values.min() < limits.min or values.max() > limits.max:
             raise BenchError(
                 f"{path}: {describe(feed.tensor)} holds {limits.min} to {limits.max}, and by stereo.colours="
-                f"{graph.colours} the image has {values.min():g} to {values.max():g}. Set stereo.mean and stereo.std: "
-                "(value - mean) / std is fed."
+                f"{graph.colours} the image has {values.min():g} to {values.max():g}. Set stereo.mean and stereo.std, "
+                "for example stereo.mean=[128]: (value - mean) / std is fed."
             )
     return values.astype(dtype, copy=False)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,8 @@ import numpy as np
 import torch
 
 from bench.errors import BenchError, did_you_mean
+from bench.io.file_kind import what_it_is
 from bench.stereo.device import choose_device
-from bench.weights.no_weights import what_it_is
 
 # Element types of images that a graph may take; quantised networks take whole numbers.
 ELEMENT_TYPES: dict[str, type[np.number[Any]]] = {
@@ -91,4 +92,6 @@ def _providers(device: str, onnxruntime: Any) -> list[str]:
 
 
 def _first_line(error: Exception) -> str:
-    return str(error).strip().split("\n", 1)[0].rstrip(".")
+    """The error's first line without the place in onnxruntime's source and its C++ signature."""
+    line = str(error).strip().split("\n", 1)[0].rstrip(".")
+    return re.sub(r"/onnxruntime_src/\S+ .+?\) (?=[A-Z])", " ", line)
