@@ -142,6 +142,7 @@ def test_the_paper_preset_has_the_papers_numbers() -> None:
 def test_hash_does_not_depend_on_order_place_or_rerun(tmp_path: Path) -> None:
     (tmp_path / "no_plugin.py").touch()
     base = compose_run(["seed=1", "stereo.num_disparities=96"]).hash
+    (tmp_path / "notes.py").touch()  # a folder without plugin files is refused
     same = [
         ["stereo.num_disparities=96", "seed=1"],
         ["seed=1", "stereo=sgbm", "stereo.num_disparities=96"],
