@@ -150,7 +150,7 @@ class OnnxStereo(StereoNetwork):
     def unit_cure(self) -> str:
         """The settings that say in which unit the output is."""
         now = f"stereo.gain={self._graph.gain:g} stereo.unit={self._graph.unit}"
-        return f"Change {now}; KITTI's coding is gain=0.00390625 (1/256)."
+        return f"Change {now} (gain=0.00390625 for KITTI's coding, unit=width for shares of the width)"
 
     def match(self, left: Image, right: Image) -> Matched:
         """One pass of the graph over a pair; raises ``BenchError`` where it refuses it or gives another shape."""

@@ -199,12 +199,15 @@ def test_wrong_sign_is_told_with_the_setting_that_turns_it(gain: float, cure: st
         network.disparity(*shifted_pair(HEIGHT, WIDTH, SHIFT))
 
 
-def test_a_unit_that_is_no_pixel_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    network = opened(block_matcher(tmp_path / "net.onnx", gain=256.0))
+@pytest.mark.parametrize(("gain", "says"), [(256.0, "the median is 3072"), (1 / 150, "the largest 0.")])
+def test_a_unit_that_is_no_pixel_is_told_once(
+    gain: float, says: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    network = opened(block_matcher(tmp_path / "net.onnx", gain=gain))
     for _ in range(2):
         network.disparity(*shifted_pair(HEIGHT, WIDTH, SHIFT))
-    (line,) = caplog.messages
-    assert "the median disparity is 3072 px in images 150 px wide" in line
+    (line,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert says in line
     assert "Change stereo.gain=1 stereo.unit=output" in line
 
 
