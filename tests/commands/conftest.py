@@ -10,9 +10,6 @@ from pathlib import Path
 
 import pytest
 
-# The builder of small KITTI roots lives beside the tests of that data set.
-sys.path.insert(0, str(Path(__file__).parent.parent / "datasets"))
-
 TINY = (
     *("dataset.frames=4", "dataset.width=160", "dataset.height=64", "mapper.iterations=5"),
     *("tracker=groundtruth", "protocol.lpips=false"),

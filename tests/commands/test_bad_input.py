@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 from conftest import TINY, bgs_bench
-from kitti_disk import write_image, write_kitti
 
 from bench.cli import main
+from tests.datasets.kitti_disk import write_image, write_kitti
 
 Damage = Callable[[Path, Path], object]
 

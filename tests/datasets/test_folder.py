@@ -8,12 +8,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from kitti_disk import write_image
 
 from bench.errors import BenchError
 from bench.registry import PluginConfig
 from plugins.datasets.folder import Folder, FolderConfig
 from plugins.trackers.groundtruth import GroundTruth
+from tests.datasets.kitti_disk import write_image
 
 
 def make(root: Path, count: int = 3, suffix: str = ".png", **settings: Any) -> FolderConfig:

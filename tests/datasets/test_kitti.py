@@ -9,11 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from kitti_disk import CX, CY, FX, T_CAM, TR, row, write_image, write_kitti
 
 from bench.errors import BenchError
 from bench.io.kitti_files import KittiCalibration
 from plugins.datasets.kitti import Kitti, KittiConfig
+from tests.datasets.kitti_disk import CX, CY, FX, T_CAM, TR, row, write_image, write_kitti
 
 
 def open_kitti(root: Path, **settings: str) -> Kitti:

@@ -10,7 +10,16 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from kitti360_disk import (
+
+from bench.config import compose_run
+from bench.errors import BenchError
+from bench.registry import build
+from bench.tables.named.definitions import cells
+from bench.tables.named.find import named_table
+from bench.tables.named.overrides import row_of
+from bench.tables.named.published import read_sequences
+from plugins.datasets.kitti360 import Kitti360, Kitti360Config
+from tests.datasets.kitti360_disk import (
     ANGLE,
     BF,
     CAM_TO_VELO,
@@ -29,15 +38,6 @@ from kitti360_disk import (
     write_poses,
     write_scan,
 )
-
-from bench.config import compose_run
-from bench.errors import BenchError
-from bench.registry import build
-from bench.tables.named.definitions import cells
-from bench.tables.named.find import named_table
-from bench.tables.named.overrides import row_of
-from bench.tables.named.published import read_sequences
-from plugins.datasets.kitti360 import Kitti360, Kitti360Config
 
 
 def open_kitti360(root: Path, **settings: Any) -> Kitti360:

@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 from evo.core import metrics
 from evo.core.trajectory import PosePath3D
-from kitti360_disk import (
+
+from bench.cli import main
+from bench.evaluation.saved_run import SavedRunFolder
+from plugins.datasets.kitti360 import Kitti360, Kitti360Config
+from plugins.datasets.street import Street, StreetConfig
+from tests.datasets.kitti360_disk import (
     CAM_TO_POSE,
     CAM_TO_VELO,
     homogeneous,
@@ -19,11 +24,6 @@ from kitti360_disk import (
     write_poses,
     write_scan,
 )
-
-from bench.cli import main
-from bench.evaluation.saved_run import SavedRunFolder
-from plugins.datasets.kitti360 import Kitti360, Kitti360Config
-from plugins.datasets.street import Street, StreetConfig
 
 pytestmark = pytest.mark.slow
 

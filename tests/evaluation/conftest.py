@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tiny_run import write_tiny_run
+
+from tests.evaluation.tiny_run import write_tiny_run
 
 
 @pytest.fixture

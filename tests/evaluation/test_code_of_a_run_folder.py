@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tiny_run import write_tiny_run
 
 from bench.cli import main
+from tests.evaluation.tiny_run import write_tiny_run
 
 PLUGIN = """
 from pathlib import Path

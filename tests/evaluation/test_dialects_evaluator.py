@@ -10,13 +10,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from tiny_run import HEIGHT, LEFT_ERROR, NUMBERS, WIDTH, TinyConfig, TinyDataset, write_tiny_run
 
 from bench.contracts.saved_run import LpipsMetric
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.folder import picture_path
 from bench.types import Map
+from tests.evaluation.tiny_run import HEIGHT, LEFT_ERROR, NUMBERS, WIDTH, TinyConfig, TinyDataset, write_tiny_run
 
 
 def psnr_of(*errors: int) -> float:

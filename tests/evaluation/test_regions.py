@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
-from tiny_run import HEIGHT, HELD_OUT, LEFT_ERROR, WIDTH, TinyDataset, write_tiny_run
 
 from bench.errors import BenchError
 from bench.evaluation.lidar_occlusion import unoccluded
 from bench.evaluation.regions import distance_bins, psnr_where, ssim_where
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.types import Map, Mask
+from tests.evaluation.tiny_run import HEIGHT, HELD_OUT, LEFT_ERROR, WIDTH, TinyDataset, write_tiny_run
 
 
 def psnr_of(*errors: int) -> float:

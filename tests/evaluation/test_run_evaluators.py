@@ -13,7 +13,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from tiny_run import (
+
+from bench.errors import BenchError
+from bench.evaluation.run_evaluators import evaluate_run, merge
+from bench.evaluation.saved_run import SavedRunFolder
+from bench.runs.config_file import read_config
+from bench.runs.folder import RunFolder, picture_path
+from bench.runs.status import read_status
+from bench.sweeps.lookup import Found, look_up
+from bench.types import StereoFrame
+from tests.evaluation.tiny_run import (
     HELD_OUT,
     LEFT_ERROR,
     LOST,
@@ -24,15 +33,6 @@ from tiny_run import (
     frame_row,
     write_tiny_run,
 )
-
-from bench.errors import BenchError
-from bench.evaluation.run_evaluators import evaluate_run, merge
-from bench.evaluation.saved_run import SavedRunFolder
-from bench.runs.config_file import read_config
-from bench.runs.folder import RunFolder, picture_path
-from bench.runs.status import read_status
-from bench.sweeps.lookup import Found, look_up
-from bench.types import StereoFrame
 
 NONE_DONE = {"tracked": 0, "ok": 0, "weak": 0, "lost": 0, "lost_stretches": [], "mapped": 0}
 

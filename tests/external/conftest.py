@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_case import COUNT, curve, write_depth, write_poses, write_renders
+
+from tests.external.foreign_case import COUNT, curve, write_depth, write_poses, write_renders
 
 
 @pytest.fixture

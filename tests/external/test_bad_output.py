@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from foreign_case import COUNT, curve, dataset, refusal, score, write_poses, write_renders
 
 from bench.cli import main
+from tests.external.foreign_case import COUNT, curve, dataset, refusal, score, write_poses, write_renders
 
 NUMBERS = np.arange(COUNT)
 pytestmark = pytest.mark.usefixtures("no_plot")

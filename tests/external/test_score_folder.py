@@ -10,11 +10,22 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from foreign_case import COUNT, HEIGHT, WIDTH, arguments, curve, refusal, score, write_depth, write_poses, write_renders
 
 from bench.cli import main
 from bench.io.trajectories import write_tum
 from bench.types import Trajectory
+from tests.external.foreign_case import (
+    COUNT,
+    HEIGHT,
+    WIDTH,
+    arguments,
+    curve,
+    refusal,
+    score,
+    write_depth,
+    write_poses,
+    write_renders,
+)
 
 NUMBERS = np.arange(COUNT)
 pytestmark = pytest.mark.usefixtures("no_plot")

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from foreign_case import curve
 
 from bench.errors import BenchError
 from bench.external.poses import read_written_poses
 from bench.external.search import search
 from bench.external.settings import ScoreSettings
+from tests.external.foreign_case import curve
 
 NUMBERS = np.arange(6)
 TRUE = curve(NUMBERS)

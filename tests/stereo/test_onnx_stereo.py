@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from stereo_pairs import end_point_error, kitti_2015_sample, shifted_pair
-from tiny_onnx import INT8, UINT8, block_matcher, channel_reader, reshaped_matcher, sure_reader
 
 from bench.errors import BenchError
 from plugins.stereo.onnx import OnnxConfig, OnnxStereo
+from tests.stereo.tiny_onnx import INT8, UINT8, block_matcher, channel_reader, reshaped_matcher, sure_reader
 
 HEIGHT, WIDTH, SHIFT = 45, 150, 12
 

@@ -10,12 +10,11 @@ from pathlib import Path
 
 import pytest
 
-# The builder of small KITTI roots lives beside the tests of that data set.
-sys.path += [str(Path(__file__).parent), str(Path(__file__).parent.parent / "datasets")]
+sys.path.append(str(Path(__file__).parent))
 from fake_bench import Bench, is_running
-from kitti_disk import write_kitti
 
 from bench.sweeps import plan, sweep
+from tests.datasets.kitti_disk import write_kitti
 
 
 @pytest.fixture(scope="session")

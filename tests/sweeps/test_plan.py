@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from kitti_disk import write_kitti
 
 from bench.config import compose_run
 from bench.errors import BenchError
@@ -21,6 +20,7 @@ from bench.sweeps.plan import make_plan
 from bench.tables.named.definitions import cells
 from bench.tables.named.find import named_table
 from bench.tables.named.found_rows import choose_rows
+from tests.datasets.kitti_disk import write_kitti
 
 SMALL = ("mapper.iterations=3", "tracker=groundtruth")
 
