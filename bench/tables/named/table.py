@@ -23,7 +23,7 @@ from bench.tables.named.notes import notes
 from bench.tables.named.overrides import row_of
 from bench.tables.named.records import read_runs
 from bench.tables.named.tidy import tidy_data
-from bench.tables.records.file import SUFFIX, KeptRuns, lead_to, record_text
+from bench.tables.records.file import SUFFIX, TableRecord, lead_to, record_text
 from bench.tables.records.record import VIEW_GROUPS
 from bench.tables.records.settings import first_few
 
@@ -33,7 +33,7 @@ class PaperTable:
     """A named table filled with ``runs``; made by ``make_table``."""
 
     document: Document
-    runs: KeptRuns
+    runs: TableRecord
     table: NamedTable | None
     """None: the table of dialects."""
     columns_of: str = "both"
@@ -93,13 +93,13 @@ def make_table(
     return fill_table(table, read_runs(runs, views), columns_of)
 
 
-def fill_table(table: NamedTable | None, found: KeptRuns, columns_of: str = "both") -> PaperTable:
+def fill_table(table: NamedTable | None, found: TableRecord, columns_of: str = "both") -> PaperTable:
     """The table (None: that of dialects) with those of the runs that have a place in it."""
     filled = _table_of(table, _of_table(table, found), columns_of)
     return filled if table is None else replace(filled, left_out=_left_out(table, filled.runs, found))
 
 
-def _left_out(table: NamedTable, shown: KeptRuns, found: KeptRuns) -> tuple[str, ...]:
+def _left_out(table: NamedTable, shown: TableRecord, found: TableRecord) -> tuple[str, ...]:
     """A line for each setting that keeps runs out."""
     names = {run.name for run in shown.runs}
     by_reason: dict[str, list[str]] = {}
@@ -110,7 +110,7 @@ def _left_out(table: NamedTable, shown: KeptRuns, found: KeptRuns) -> tuple[str,
     return tuple(f"In no cell: {first_few(runs)}: {reason}." for reason, runs in by_reason.items())
 
 
-def _of_table(table: NamedTable | None, found: KeptRuns) -> KeptRuns:
+def _of_table(table: NamedTable | None, found: TableRecord) -> TableRecord:
     """The runs that have a place in the table; of the others, how many there are."""
     if table is None:
         members = [run for run in found.runs if run.part("dialects")]
@@ -125,7 +125,7 @@ def _of_table(table: NamedTable | None, found: KeptRuns) -> KeptRuns:
     return replace(found, table=name, runs=tuple(members), others=known + strangers)
 
 
-def _table_of(table: NamedTable | None, found: KeptRuns, columns_of: str) -> PaperTable:
+def _table_of(table: NamedTable | None, found: TableRecord, columns_of: str) -> PaperTable:
     if table is None:
         groups = scored_groups(found.runs)
         about = dialect_notes(groups, found.others, found.views, found.problems)

@@ -26,7 +26,7 @@ _FIRST_RUN = 9
 
 
 @dataclass(frozen=True)
-class KeptRuns:
+class TableRecord:
     """What a record file holds. ``others`` counts runs that were there and have no place in the table; ``problems`` say
     which could not be read. ``table`` is its name, or empty for a table of runs."""
 
@@ -47,26 +47,26 @@ def in_order(runs: Sequence[RunRecord]) -> list[RunRecord]:
     return sorted(runs, key=lambda run: (run.name, _one_line(_entry(run))))
 
 
-def record_text(kept: KeptRuns) -> str:
+def record_text(record: TableRecord) -> str:
     """The text of a record file."""
-    entries = [_entry(run) for run in in_order(kept.runs)]
+    entries = [_entry(run) for run in in_order(record.runs)]
     common = {key: in_common([entry[key] for entry in entries]) for key in _SHARED}
     for entry in entries:
         entry |= {key: without(entry[key], common[key]) for key in _SHARED}
-    lines = [f'"{key}": {json.dumps(value)},' for key, value in _head(kept).items()]
+    lines = [f'"{key}": {json.dumps(value)},' for key, value in _head(record).items()]
     lines.append(f'"common": {_one_line(common)},')
     text = "\n".join(["{", *lines, '"runs": [', ",\n".join(_one_line(entry) for entry in entries), "]", "}"]) + "\n"
     # Half a surrogate pair, which JSON can name and no file can hold.
     return text.encode(errors="replace").decode()
 
 
-def lead_to(kept: KeptRuns, file: Path) -> KeptRuns:
+def lead_to(record: TableRecord, file: Path) -> TableRecord:
     """The same runs with their lines in ``file``, which is to get ``record_text``, as their sources."""
-    runs = (replace(run, source=_line_of(file, place)) for place, run in enumerate(in_order(kept.runs)))
-    return replace(kept, runs=tuple(runs))
+    runs = (replace(run, source=_line_of(file, place)) for place, run in enumerate(in_order(record.runs)))
+    return replace(record, runs=tuple(runs))
 
 
-def read_record_file(path: Path, views: str | None = None) -> KeptRuns:
+def read_record_file(path: Path, views: str | None = None) -> TableRecord:
     """What a record file holds, its image metrics those of ``views`` (default: of the table it was made for).
 
     Raises ``BenchError`` for a file that is missing, damaged or none of these.
@@ -81,16 +81,16 @@ def read_record_file(path: Path, views: str | None = None) -> KeptRuns:
         common = {key: content["common"][key] for key in _SHARED}
         runs = [_record(entry, common, chosen, _line_of(path, place)) for place, entry in enumerate(content["runs"])]
         others, problems = int(content["others"]), tuple(str(problem) for problem in content["problems"])
-        return KeptRuns(str(content["table"]), chosen, tuple(runs), others, problems)
+        return TableRecord(str(content["table"]), chosen, tuple(runs), others, problems)
 
 
-def _head(kept: KeptRuns) -> dict[str, Any]:
+def _head(record: TableRecord) -> dict[str, Any]:
     return {
         "format": _FORMAT,
-        "table": kept.table,
-        "views": kept.views,
-        "others": kept.others,
-        "problems": list(kept.problems),
+        "table": record.table,
+        "views": record.views,
+        "others": record.others,
+        "problems": list(record.problems),
     }
 
 
