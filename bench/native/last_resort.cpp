@@ -4,6 +4,7 @@
 #include <nanobind/stl/string.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <cstdio>
@@ -66,7 +67,9 @@ void end_in(double seconds, const std::string& file, const std::string& content,
     LastResort& last = last_resort();
     std::lock_guard<std::mutex> lock(last.mutex);
     last.file = file, last.content = content, last.message = message;
-    last.end = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
+    // Thirty years are as good as never, and whole nanoseconds of them still have room.
+    const std::chrono::duration<double> time(std::min(seconds, 1e9));
+    last.end = Clock::now() + std::chrono::duration_cast<Clock::duration>(time);
     if (!last.watching) std::thread(watch, std::ref(last)).detach();
     last.watching = true;
     last.changed.notify_one();
