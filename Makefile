@@ -26,7 +26,7 @@ run: install
 	$(BIN)/bgs-bench run output=results/runs/street rerun=true
 
 test: check
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 # Under two minutes: without real data and weights, and without the tests that are marked slow.
 quick: check
