@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,10 @@ import pytest
 # As the command line does, and before torch is imported: OpenMP threads that wait must not take the cores from others.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
+from hydra.core.config_store import ConfigStore
+
+from bench import registry
+from bench.config import compose_run
 from bench.discovery import load_plugins
 
 
@@ -49,3 +55,23 @@ def _ctrl_c_reaches_children() -> None:
 @pytest.fixture(scope="session", autouse=True)
 def _plugins() -> None:
     load_plugins()
+
+
+@pytest.fixture(scope="session")
+def composed_once() -> None:
+    """Hydra stores its own configs when something is composed for the first time; they must not be forgotten."""
+    compose_run([])
+
+
+@pytest.fixture
+def clean_registry(composed_once: None) -> Iterator[None]:
+    """Forget, afterwards, every plugin and broken file that the test brought."""
+    plugins, broken = dict(registry._plugins), dict(registry.broken_files)
+    store = ConfigStore.instance()
+    repo = copy.deepcopy(store.repo)
+    yield
+    registry._plugins.clear()
+    registry._plugins.update(plugins)
+    registry.broken_files.clear()
+    registry.broken_files.update(broken)
+    store.repo = repo

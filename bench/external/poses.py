@@ -166,6 +166,8 @@ def _array(poses: Any, path: Path) -> Float:
         return np.asarray(poses, dtype=np.float64)
     # Before it is converted: a tensor's shape costs nothing, whatever it says.
     _require_stack(tuple(poses.shape), path)
+    if poses.is_complex():
+        raise BenchError(f"{path} holds complex numbers; poses are real.")
     return np.asarray(poses.detach().double().numpy())
 
 

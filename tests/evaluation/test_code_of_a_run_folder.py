@@ -10,6 +10,8 @@ import pytest
 from bench.cli import main
 from tests.evaluation.tiny_run import write_tiny_run
 
+pytestmark = pytest.mark.usefixtures("clean_registry")
+
 PLUGIN = """
 from pathlib import Path
 from bench.contracts.evaluator import Evaluator
