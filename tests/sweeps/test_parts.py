@@ -18,8 +18,13 @@ from bench.sweeps import child, oom_kills
 from bench.sweeps.child import environment_of
 from bench.sweeps.claim import Claim, claimed_by, is_claimed
 from bench.sweeps.job import Job, Outcome
+from bench.sweeps.launchers import launched
+from bench.sweeps.launchers.choice import LauncherChoice
+from bench.sweeps.launchers.exchange import Note
 from bench.sweeps.launchers.gpus import gpus_of_this_machine
+from bench.sweeps.launchers.launch import Order
 from bench.sweeps.launchers.slots import Slots
+from bench.sweeps.lookup import Found
 from bench.sweeps.sweep import Choice, Sweep
 
 
@@ -215,3 +220,48 @@ def test_a_run_takes_no_module_from_the_current_folder(tmp_path: Path) -> None:
     assert claim is not None
     child.Child(Job("run", folder, tmp_path, ("-S", "-c", "import json")), claim, dict(os.environ)).outcome()
     assert not (tmp_path / "proof").exists()
+
+
+def test_a_run_that_a_dying_launcher_had_only_just_taken_is_launched_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A launcher that loses one worker may end the others: of three runs one is done, one cut, one has nothing yet."""
+    jobs = [Job(name, tmp_path / name, tmp_path, ()) for name in ("done", "cut", "taken")]
+    (tmp_path / "cut").mkdir()
+    (tmp_path / "cut" / "config.yaml").touch()
+    launches: list[list[str]] = []
+
+    class Launch:
+        def __init__(self, order: Order) -> None:
+            launches.append([job.label for job in order.task.jobs])
+            for number, job in enumerate(order.task.jobs):
+                done = job.label == "done" or len(launches) == 2
+                note = Note("ended", found=Found("finished")) if done else Note("begun")
+                order.task.exchange.write(number, note)
+
+        def has_ended(self) -> bool:
+            return True
+
+        def succeeded(self) -> bool:
+            return len(launches) == 2
+
+        def last_words(self) -> str:
+            return "one was killed"
+
+    ended: dict[str, Found] = {}
+
+    class Listener:
+        def started(self, job: Job, place: str = "") -> None: ...
+        def waits(self, job: Job, who: str) -> None: ...
+        def refresh(self) -> None: ...
+        def ended(self, outcome: Outcome) -> None:
+            assert outcome.job.label not in ended
+            ended[outcome.job.label] = outcome.found
+
+    monkeypatch.setattr(launched, "_Launch", Launch)
+    monkeypatch.setattr(launched, "_POLL_S", 0.01)
+    monkeypatch.setattr(launched, "_QUIET_S", 0.0)
+    launched.LaunchedSweep(jobs, LauncherChoice("joblib"), Choice(), Listener(), tmp_path).run()
+    assert launches == [["done", "cut", "taken"], ["taken"]]
+    cut = Found("interrupted", "its worker died (one was killed)")
+    assert ended == {"done": Found("finished"), "cut": cut, "taken": Found("finished")}

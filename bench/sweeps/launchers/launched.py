@@ -38,6 +38,8 @@ class _Watched:
     job: Job
     note: Note | None = None
     unclaimed_since: float | None = None
+    left: bool = False
+    """Its worker died before there was anything of the run."""
 
     @property
     def has_ended(self) -> bool:
@@ -111,7 +113,7 @@ class LaunchedSweep:
     def _look(self, exchange: Exchange, watched: list[_Watched]) -> None:
         """Pass on what workers have told since the last time."""
         for each in watched:
-            note = None if each.has_ended else exchange.read(each.number)
+            note = None if each.has_ended or each.left else exchange.read(each.number)
             if note is None or note == each.note:
                 continue
             each.note = note
@@ -126,7 +128,7 @@ class LaunchedSweep:
     def _outlast(self, exchange: Exchange, watched: list[_Watched], reason: str) -> None:
         """Wait for the runs that had begun when the launcher ended, whose workers live on or whose workers died."""
         begun = [each for each in watched if each.note is not None]
-        while unended := [each for each in begun if not each.has_ended]:
+        while unended := [each for each in begun if not (each.has_ended or each.left)]:
             self._look(exchange, watched)
             for each in unended:
                 self._see_whether_it_died(each, reason)
@@ -141,9 +143,12 @@ class LaunchedSweep:
         if each.unclaimed_since is None:
             each.unclaimed_since = now
         if now - each.unclaimed_since > _QUIET_S:
-            if found.progress in ("interrupted", "missing"):
+            # A launcher that loses one worker may end its others too, also one that is about to start its run.
+            each.left = found.progress == "missing"
+            if found.progress == "interrupted":
                 found = Found("interrupted", f"its worker died ({reason})")
-            self._ended(each, found)
+            if not each.left:
+                self._ended(each, found)
 
     def _ended(self, each: _Watched, found: Found) -> None:
         each.note = Note("ended", found=found)
