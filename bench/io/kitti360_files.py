@@ -107,8 +107,9 @@ def _named(path: Path, name: str, count: int) -> tuple[Float, int]:
 
 def _is_rotation(R: Float) -> npt.NDArray[np.bool_]:
     """Of matrices (..., 3, 3): which are rotations up to the rounding of the files."""
-    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-1, -2))
-    return np.asarray((off < _ROTATION_TOLERANCE) & (np.linalg.det(R) > 0))
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged numbers are no rotation either
+        off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-1, -2))
+        return np.asarray((off < _ROTATION_TOLERANCE) & (np.linalg.det(R) > 0))
 
 
 def _rigid(matrix: Float, path: Path, line: int) -> Float:
