@@ -233,7 +233,8 @@ class SavedRunFolder(SavedRun):
         return dict(zip(self.frames["number"].tolist(), self.frames[CHECKSUM_COLUMN].tolist(), strict=True))
 
     def _unchanged(self, frame: StereoFrame) -> StereoFrame:
-        if self._checksums.get(frame.number, frame.checksum()) != frame.checksum():
+        read_by_run = self._checksums.get(frame.number)
+        if read_by_run is not None and read_by_run != frame.checksum():
             raise BenchError(
                 f"The images of frame {frame.number} of {self.dataset.label} have changed since the run read them. Put "
                 "the old ones back, or run again with rerun=true."
