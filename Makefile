@@ -1,8 +1,9 @@
-# make install, make run, make test: everything happens in .venv; nothing is needed before but Python, a compiler, make.
+# make install, make run: what running needs; make test adds the rest. All in .venv, from Python, a compiler and make.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+TESTING := $(VENV)/.installed-for-tests
 
 # Real data and real weights, when they lie beside the repository (see README, "Tests with real data").
 ifneq ($(wildcard ../shared/data),)
@@ -18,9 +19,14 @@ install: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(wildcard bench/native/*)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
 	-$(BIN)/bgs-bench weights get alexnet psmnet_kitti2015
 	touch $(STAMP)
+
+# What the tests need beside.
+$(TESTING): $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	touch $(TESTING)
 
 run: install
 	$(BIN)/bgs-bench run output=results/runs/street rerun=true
@@ -32,16 +38,16 @@ test: check
 quick: check
 	env -u BGS_TEST_DATA -u BGS_WEIGHTS $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
-check: install
+check: $(TESTING)
 	$(BIN)/ruff check bench plugins tests tools
 	$(BIN)/ruff format --check bench plugins tests tools
 	$(BIN)/mypy
 
 # A thousand spoilt files of all kinds; `make test` tries a hundred.
-fuzz: install
+fuzz: $(TESTING)
 	BGS_FUZZ=1000 $(BIN)/python -m pytest tests/fuzzing
 
-bench: install
+bench: $(TESTING)
 	OMP_WAIT_POLICY=passive $(BIN)/python -m pytest tests/performance -s
 
 # The core built with the address and undefined-behaviour sanitizers, in a folder of its own, and its tests for each
@@ -49,7 +55,7 @@ bench: install
 SANITIZED := build/sanitize
 CORE_TESTS := tests/native tests/rasterizers tests/losses tests/gaussians/test_optimizer.py tests/tracking
 
-sanitize: install
+sanitize: $(TESTING)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --upgrade --target $(SANITIZED) \
 		--config-settings=build-dir=$(SANITIZED)/cmake --config-settings=cmake.define.BGS_SANITIZE=ON .
 	for kernels in baseline avx2 avx512; do \
