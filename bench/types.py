@@ -96,6 +96,10 @@ class PinholeView:
         vars(half)["T_cam_world"] = self.T_cam_world  # the same camera: not inverted a second time
         return half
 
+    def widened(self, columns: int) -> PinholeView:
+        """The view that sees so many columns more on its left and on its right."""
+        return replace(self, cx=self.cx + columns, width=self.width + 2 * columns)
+
 
 @dataclass(frozen=True)
 class StereoFrame:

@@ -12,10 +12,15 @@ import torch
 from bench.errors import BenchError, require_between, require_least
 from bench.gaussians.parameters import planes_from
 from bench.geometry import se3
-from bench.types import DepthMap, Image, Map, Mask, PinholeView
+from bench.geometry.ground import ground_inverse_depth
+from bench.supervision.target import depth_in_range
+from bench.types import Image, Keyframe, Map, Mask, PinholeView
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+# Few iterations or none make these Gaussians opaque: no keyframe sees them.
+_MARGIN_OPACITY = 0.9
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,14 @@ class SeedingConfig:
     """Opacity of new Gaussians."""
     fill_holes: bool = True
     """Whether pixels of unknown depth get a smoothly filled one, for seeding only."""
+    ground: bool = False
+    """Whether filled depth ends at the ground: a plane fitted to the depth below the principal point, where one is
+    found. For cameras that stand upright above a road or floor, whose overexposed parts stereo does not see."""
+    max_depth_m: float = 0.0
+    """How far stereo depth seeds, in metres (0: as far as it supervises, ``mapper.depth_range_m``)."""
+    margin: float = 0.0
+    """How far seeds go on beyond the left and right border of the image, as a share of its width, with the depth and
+    colour of the border: what the keyframes do not see is less wrong like that than black."""
     min_confidence: float = 0.0
     """Depth counts as unknown where the stereo plugin's confidence in it, 0 to 1, is below this (0: any counts)."""
     sky_distance_m: float = 200.0
@@ -49,26 +62,32 @@ class SeedingConfig:
         for name in ("size", "thickness"):
             if not getattr(self, name) > 0:
                 raise BenchError(f"mapper.seeding.{name}={getattr(self, name)} must be above 0.")
-        require_between("mapper.seeding", self, 0, 1, "max_alpha", "min_confidence")
-        require_least("mapper.seeding", self, min_error=0)
+        require_between("mapper.seeding", self, 0, 1, "max_alpha", "min_confidence", "margin")
+        require_least("mapper.seeding", self, min_error=0, max_depth_m=0)
         if not self.sky_distance_m >= 0:
             raise BenchError(f"mapper.seeding.sky_distance_m={self.sky_distance_m} must be 0 (no sky) or more metres.")
 
+    def margin_columns(self, width: int) -> int:
+        """The margin of an image of this width on each side, in pixels."""
+        return round(self.margin * width)
 
-def depth_to_seed_from(depth: DepthMap, supervises: Mask, config: SeedingConfig) -> Map:
-    """Depth (H, W) in metres, NaN where it does not supervise or is not sure enough.
+
+def depth_to_seed_from(keyframe: Keyframe, depth_range_m: tuple[float, float], config: SeedingConfig) -> Map:
+    """Depth (H, W) in metres, NaN for the sky, outside of the range, and where it is not sure enough.
 
     Raises ``BenchError`` where ``min_confidence`` asks for a confidence that the depth has not.
     """
+    depth = keyframe.depth
+    sure = depth_in_range(keyframe, (depth_range_m[0], config.max_depth_m or depth_range_m[1]))
     if config.min_confidence == 0:
-        return np.where(supervises, depth.depth, np.nan)
+        return np.where(sure, depth.depth, np.nan)
     if depth.confidence is None:
         raise BenchError(
             f"mapper.seeding.min_confidence={config.min_confidence}: {depth.source} gives no confidence. Use a stereo "
             "plugin that does, such as stereo=sgbm stereo.full_check=true or a network with "
             "stereo.left_right_check_px=1."
         )
-    return np.where(supervises & (depth.confidence >= config.min_confidence), depth.depth, np.nan)
+    return np.where(sure & (depth.confidence >= config.min_confidence), depth.depth, np.nan)
 
 
 def fill_inverse_depth(inverse: Map, known: Mask) -> Map:
@@ -110,24 +129,22 @@ def _quaternions_from_z(normals: np.ndarray) -> np.ndarray:
     return np.roll(q / np.linalg.norm(q, axis=1, keepdims=True), -1, axis=1)
 
 
-def seed_gaussians(
-    image: Image,
-    depth: Map,
-    sky: Mask | None,
-    unexplained: Mask,
-    view: PinholeView,
-    config: SeedingConfig,
-) -> tuple[Tensor, Tensor]:
-    """New Gaussians (14, N), of degree 0, for the unexplained pixels (H, W), and their depths (N,) in metres.
+def _beyond_the_border(image: np.ndarray, columns: int) -> np.ndarray:
+    """The image (H, W, ...) with its first and last column repeated on its sides."""
+    return np.pad(image, ((0, 0), (columns, columns)) + ((0, 0),) * (image.ndim - 2), mode="edge")
 
-    ``depth`` (H, W) metres is NaN where unknown or out of range; ``sky`` (H, W) or None.
-    """
+
+def _surfaces(depth: Map, sky: Mask | None, view: PinholeView, config: SeedingConfig) -> tuple[Map, Map, Mask]:
+    """Inverse depth (H, W) and normals (H, W, 3) of what the pixels show, and where these are known or filled."""
     h, w = depth.shape
     known = np.isfinite(depth)
     inverse = np.where(known, 1.0 / np.where(known, depth, 1.0), 0.0).astype(np.float32)
     usable = known.copy()
     if config.fill_holes and known.any():
         inverse = fill_inverse_depth(inverse, known)
+        ground = ground_inverse_depth(depth, view) if config.ground else None
+        if ground is not None:
+            inverse = np.where(known, inverse, np.maximum(inverse, ground))
         usable[:] = inverse > 0
     normals = disc_axes(inverse, view)
     if sky is not None:
@@ -143,11 +160,32 @@ def seed_gaussians(
             )
             normals[sky] = rays[sky] / np.linalg.norm(rays[sky], axis=1, keepdims=True)
             usable |= sky
-    grid = np.zeros((h, w), bool)
-    grid[:: config.stride, :: config.stride] = True
+    return inverse, normals, usable
+
+
+def seed_gaussians(
+    image: Image,
+    depth: Map,
+    sky: Mask | None,
+    unexplained: Mask,
+    view: PinholeView,
+    config: SeedingConfig,
+) -> tuple[Tensor, Tensor]:
+    """New Gaussians (14, N), of degree 0, for the unexplained pixels, and their depths (N,) in metres.
+
+    ``depth`` (H, W) metres is NaN where unknown or out of range; ``sky`` (H, W) or None. ``unexplained``
+    (H, W + 2 margin columns) has the margins of both sides too.
+    """
+    margin = config.margin_columns(view.width)
+    inverse, normals, usable, image = (
+        _beyond_the_border(a, margin) for a in (*_surfaces(depth, sky, view, config), image)
+    )
+    wide = view.widened(margin)
+    grid = np.zeros(inverse.shape, bool)
+    grid[:: config.stride, margin % config.stride :: config.stride] = True
     v, u = np.nonzero(grid & usable & unexplained)
     z = 1.0 / inverse[v, u]
-    points = np.stack([(u - view.cx) / view.fx * z, (v - view.cy) / view.fy * z, z], 1)
+    points = np.stack([(u - wide.cx) / view.fx * z, (v - view.cy) / view.fy * z, z], 1)
     # The inverse of the inverse, which differs from view.T_world_cam in the last bits: all kept results stand on it.
     T_world_cam = np.asarray(np.linalg.inv(view.T_cam_world), np.float64)
     means = points @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
@@ -156,8 +194,8 @@ def seed_gaussians(
     turn = se3.rotation_to_quaternion_by_vector(T_world_cam[:3, :3])
     quaternions = np.roll(se3.quaternion_product(turn, _quaternions_from_z(normals[v, u])), 1, axis=1)
     colors = image[v, u].astype(np.float32) / 255.0
-    tensors = [torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in (means, scales, quaternions, colors)]
-    opacities = torch.full((len(z),), config.opacity)
-    return planes_from(tensors[0], tensors[1], tensors[2], opacities, tensors[3]), torch.from_numpy(
-        z.astype(np.float32)
-    )
+    in_margin = (u < margin) | (u >= margin + view.width)
+    opacities = np.where(in_margin, max(config.opacity, _MARGIN_OPACITY), config.opacity)
+    columns = (means, scales, quaternions, opacities, colors)
+    planes = planes_from(*(torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in columns))
+    return planes, torch.from_numpy(z.astype(np.float32))

@@ -11,7 +11,7 @@ import torch
 
 from bench.geometry.normals import normals_from_depth
 from bench.supervision.ssim import local_statistics
-from bench.types import Keyframe, PinholeView
+from bench.types import Keyframe, Mask, PinholeView
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -67,15 +67,20 @@ class Target:
         return Target(image, self.depth[pick].contiguous(), self.depth_mask[pick].contiguous(), view, confidence)
 
 
+def depth_in_range(keyframe: Keyframe, depth_range_m: tuple[float, float]) -> Mask:
+    """Where the stereo depth is known, lies within [near, far] metres and is not of the sky, (H, W)."""
+    depth = keyframe.depth.depth
+    with np.errstate(invalid="ignore"):
+        mask = np.isfinite(depth) & (depth >= depth_range_m[0]) & (depth <= depth_range_m[1])
+    return mask if keyframe.sky is None else mask & ~keyframe.sky
+
+
 def target_of(
     keyframe: Keyframe, view: PinholeView, depth_range_m: tuple[float, float], device: torch.device
 ) -> Target:
     """The full-resolution target of a keyframe; ``depth_range_m`` limits which stereo depth supervises."""
     image = torch.from_numpy(keyframe.frame.left).to(device).permute(2, 0, 1).float().div_(255.0).contiguous()
-    depth = keyframe.depth.depth
-    sky = np.zeros(depth.shape, bool) if keyframe.sky is None else keyframe.sky
-    with np.errstate(invalid="ignore"):
-        mask = np.isfinite(depth) & (depth >= depth_range_m[0]) & (depth <= depth_range_m[1]) & ~sky
+    depth, mask = keyframe.depth.depth, depth_in_range(keyframe, depth_range_m)
     return Target(
         image,
         torch.from_numpy(np.where(mask, depth, 0.0).astype(np.float32)).to(device),

@@ -262,12 +262,14 @@ class GaussianMapper(Mapper):
         """Add Gaussians where the map does not explain the keyframe yet (METHOD, "seeding")."""
         c, number = self.config, keyframe.frame.number
         view, target = self._view(number), self._target(number, half=False)
-        unexplained = np.ones(keyframe.depth.depth.shape, bool)
+        margin = c.seeding.margin_columns(view.width)
+        unexplained = np.ones((view.height, view.width + 2 * margin), bool)
         if self.gaussians:
-            rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
-            error = (rendered.color - target.image).abs().mean(0)
+            rendered = self._rasterizer.render(self._map.planes, view.widened(margin), differentiable=False)
+            error = (rendered.color[..., margin : margin + view.width] - target.image).abs().mean(0)
+            error = torch.nn.functional.pad(error, (margin, margin))
             unexplained = ((rendered.alpha < c.seeding.max_alpha) | (error > c.seeding.min_error)).cpu().numpy()
-        depth = depth_to_seed_from(keyframe.depth, target.depth_mask.cpu().numpy(), c.seeding)
+        depth = depth_to_seed_from(keyframe, c.depth_range_m, c.seeding)
         planes, depths = seed_gaussians(keyframe.frame.left, depth, keyframe.sky, unexplained, view, c.seeding)
         self._map.add(number, self._keyframes[number].T_world_cam, planes, depths)
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 import torch
 
 from bench.gaussians.parameters import NamedParameters
-from bench.gaussians.seeding import SeedingConfig, fill_inverse_depth, seed_gaussians
-from bench.types import PinholeView
+from bench.gaussians.seeding import SeedingConfig, depth_to_seed_from, fill_inverse_depth, seed_gaussians
+from bench.types import DepthMap, Keyframe, PinholeView, StereoFrame
 
 H, W = 24, 40
 ROTATION = cv2.Rodrigues(np.array([0.2, -0.4, 0.1]))[0]
@@ -166,3 +168,52 @@ def test_fill_inverse_depth_by_hand() -> None:
 def test_fill_inverse_depth_with_nothing_known() -> None:
     empty = np.zeros((9, 9), np.float32)
     assert not fill_inverse_depth(empty, empty.astype(bool)).any()
+
+
+def test_the_margin_goes_on_with_the_borders_depth_and_colour() -> None:
+    """A tenth of 40 columns: 4 more on each side, at the depth and with the colour of the first and last column."""
+    depth = RNG.uniform(2, 30, (H, W)).astype(np.float32)
+    config = replace(PLAIN, margin=0.1)
+    unexplained = np.zeros((H, W + 8), bool)
+    unexplained[5, :4], unexplained[7, -4:] = True, True
+    planes, depths = seed_gaussians(IMAGE, depth, None, unexplained, VIEW, config)
+    seeds = NamedParameters(planes)
+    places = [(5, 0, -4), (5, 0, -3), (5, 0, -2), (5, 0, -1), *((7, 39, column) for column in range(40, 44))]
+    for k, (row, of, column) in enumerate(places):
+        z = float(depth[row, of])
+        assert float(depths[k]) == pytest.approx(z, rel=1e-6)
+        np.testing.assert_allclose(seeds.means[k], back_projected(row, column, z), rtol=1e-5)
+        np.testing.assert_allclose(seeds.colors[k], IMAGE[row, of] / 255.0, atol=1e-6)
+    assert float(seeds.opacities.min()) > 0.8
+
+
+def test_holes_are_not_filled_below_the_ground() -> None:
+    """A road 1.5 m below the camera and a wall 60 m ahead; stereo lost a part of the road beside the wall's foot."""
+    view = PinholeView(np.eye(4), 120.0, 120.0, 79.5, 39.5, 160, 120)
+    slope = (np.arange(120, dtype=np.float32) - 39.5) / 120.0
+    with np.errstate(divide="ignore"):
+        truth = np.repeat(np.minimum(np.where(slope > 0, 1.5 / slope, np.inf), 60.0)[:, None], 160, axis=1)
+    truth = truth.astype(np.float32)
+    hole = np.zeros((120, 160), bool)
+    hole[43:110, 100:] = True
+    depth = np.where(hole, np.nan, truth).astype(np.float32)
+
+    def error(ground: bool) -> float:
+        config = SeedingConfig(stride=1, ground=ground, sky_distance_m=0.0)
+        picture = np.zeros((120, 160, 3), np.uint8)
+        depths = seed_gaussians(picture, depth, None, np.ones((120, 160), bool), view, config)[1].reshape(120, 160)
+        np.testing.assert_allclose(depths[~hole], truth[~hole], rtol=1e-6)
+        too_far = depths.numpy()[hole] / truth[hole]
+        return float(too_far.max())
+
+    assert error(ground=False) > 1.5
+    assert error(ground=True) < 1.05
+
+
+def test_how_far_depth_seeds_is_a_setting_of_its_own() -> None:
+    depth = np.array([[0.2, 1.0, 70.0, 90.0, 150.0, np.nan]], np.float32)
+    sky = np.array([[False, True, False, False, False, False]])
+    keyframe = Keyframe(StereoFrame(0, 0.0, IMAGE[:1, :6]), DepthMap(depth, "by hand"), sky, np.eye(4))
+    for furthest, seeded in ((0.0, [70.0]), (120.0, [70.0, 90.0])):
+        got = depth_to_seed_from(keyframe, (0.5, 80.0), SeedingConfig(max_depth_m=furthest))
+        assert got[np.isfinite(got)].tolist() == seeded
