@@ -89,7 +89,7 @@ class Subject:
                 mapper = self.started()
                 mapper.restore(state, iter(keyframes[:k]))
         seconds = (time.perf_counter() - begin) / len(keyframes)
-        newest = mapper.render(self.view(keyframes[-1].T_world_cam))
+        newest = mapper.render_frame(numbers[-1], False, self.view(keyframes[-1].T_world_cam))
         mapper.update_poses(Trajectory(poses, np.array(numbers), times))
         mapper.finish()
         return Mapped(mapper, reports, newest, seconds)
@@ -213,7 +213,14 @@ def _inputs(subject: Subject) -> str | Note:
     probes.require_untouched("the input depth", depth, first.depth.depth, "add_keyframe")
     probes.require_untouched("the input T_world_cam", T, first.T_world_cam, "add_keyframe")
     if not probes.same_arrays(without_right.newest.color, subject.mapped.newest.color):
-        return Note("left as they were; it learns from right images, so right views are not unseen views for it")
+        if not subject.mapped.mapper.uses_right_images:
+            raise ContractBrokenError(
+                "with black right images the map is another one",
+                "the map of left images alone, or uses_right_images = True in the class",
+                "uses_right_images = True: then right views of keyframes are not scored as unseen ones",
+                "add_keyframe",
+            )
+        return Note("left as they were; it learns from right images: the right camera is scored at held-out frames")
     return "left as they were; right images are not looked at"
 
 

@@ -26,6 +26,9 @@ class Mapper(ABC):
     """Name of the file in the run folder that ``save`` writes, for example ``map.ply``; None = it saves none."""
     needs_depth: bool = False
     """True for a mapper that renders a view with the help of the view's own stereo depth (neural points)."""
+    uses_right_images: bool = False
+    """True for a mapper that looks at keyframes' right images: then the right camera is scored at held-out frames
+    only, whose right images the map never saw."""
 
     @abstractmethod
     def start(self, camera: StereoCamera, losses: Sequence[LossTerm], seed: int) -> None:
@@ -79,6 +82,15 @@ class Mapper(ABC):
         ``depth`` (H, W) float32 metres, NaN where unknown, is given to one that ``needs_depth``: the stereo depth of
         the view's own pair. Right views have none: one that needs depth is not asked for them.
         """
+
+    def render_frame(self, number: int, right: bool, view: PinholeView, depth: Map | None = None) -> RenderedView:
+        """The map as the left or right camera would show it in frame ``number``, for the pictures that are scored.
+
+        ``view`` is from the tracker's pose. By default the map from there; a mapper writes this one that has learned
+        more of its keyframes than their poses: exposure, corrected poses, the right camera's colours. What it says of a
+        held-out frame must come from other frames.
+        """
+        return self.render(view) if depth is None else self.render(view, depth)
 
     def view(self) -> MapView | None:
         """What a tracker or keyframer that ``uses_map`` looks at: always the map of now. None (the default): it offers

@@ -127,6 +127,11 @@ class SavedRun(ABC):
 
     @property
     @abstractmethod
+    def right_images_mapped(self) -> bool:
+        """Whether mapping saw keyframes' right images: then only held-out frames have right views to score."""
+
+    @property
+    @abstractmethod
     def resources(self) -> dict[str, Any]:
         """``resources.json``: memory, seconds per frame, size of the map."""
 
@@ -139,7 +144,8 @@ class SavedRun(ABC):
     def numbers(self, view: View, group: Group) -> list[int]:
         """Frame numbers of a group's images that come from the camera ``view``, in order.
 
-        left: every tracked frame; train: mapped; heldout: kept out of mapping and tracked; right: every tracked frame;
+        left: every tracked frame; train: mapped; heldout: kept out of mapping and tracked; right: every tracked frame,
+        or the held-out ones where mapping saw right images;
         of all these only frames that should have pictures. A group has images of one camera only (``VIEW_OF_GROUP``);
         the list is empty for the other one.
         """
@@ -153,7 +159,7 @@ class SavedRun(ABC):
 
     @abstractmethod
     def views(self) -> Iterator[SavedView]:
-        """The saved views by frame number, the left one of a frame first; right ones where the protocol scores them.
+        """The saved views by frame number, the left one of a frame first; right ones that the protocol scores.
 
         Only the view at hand is kept in memory. ``ViewEvaluator`` shares one pass with all others of its kind.
         """

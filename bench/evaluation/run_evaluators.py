@@ -129,13 +129,10 @@ def _frame_counts(run: SavedRunFolder) -> dict[str, Any]:
 
 
 def _learned_from_right(run: SavedRunFolder) -> bool | None:
-    """Whether mapping saw right images (an optional column of ``frames.csv``): then right views are not unseen ones.
-
-    None where nobody here knows: right views of another system.
-    """
+    """Whether mapping saw right images; None where nobody here knows: right views of another system."""
     if external_name(run.config) is not None and run.rendered("right"):
         return None
-    return "right_mapped" in run.frames and bool(run.frames["right_mapped"].any())
+    return run.right_images_mapped
 
 
 def _map_size(run: SavedRunFolder) -> dict[str, Any]:

@@ -137,6 +137,11 @@ class SavedRunFolder(SavedRun):
             table[column] = table[column].astype(str).str.lower().isin(["true", "1", "1.0"])
         return table
 
+    @property
+    def right_images_mapped(self) -> bool:
+        """Whether mapping saw right images of keyframes (an optional column of ``frames.csv``)."""
+        return "right_mapped" in self.frames and bool(self.frames["right_mapped"].any())
+
     @cached_property
     def resources(self) -> dict[str, Any]:
         """What ``resources.json`` holds."""
@@ -162,8 +167,8 @@ class SavedRunFolder(SavedRun):
             wanted = wanted | self._should_have("left_depth")
         if group == "train":
             wanted &= self.frames["mapped"]
-        elif group == "heldout":
-            wanted &= self.frames["heldout"]
+        elif group == "heldout" or (group == "right" and self.right_images_mapped):
+            wanted = wanted & self.frames["heldout"]
         return [int(number) for number in self.frames.loc[wanted, "number"]]
 
     def rendered(self, view: View, what: Literal["color", "depth"] = "color") -> list[int]:
@@ -198,6 +203,8 @@ class SavedRunFolder(SavedRun):
         """The saved views one by one; ``BenchError`` for a render of a frame that the data set does not have."""
         left = {*self.rendered("left"), *self.rendered("left", "depth")}
         right = set(self.rendered("right")) if self.protocol.right_view else set()
+        if self.right_images_mapped:
+            right &= set(self.numbers("right", "right"))
         numbers = sorted(left | right)
         for done, number in enumerate(numbers):
             self.report_progress("views", done, len(numbers))

@@ -7,10 +7,16 @@ import numpy.typing as npt
 import torch
 
 from bench.contracts.map_view import ImageLoss, MapView
-from bench.contracts.rasterizer import Rasterizer
+from bench.contracts.rasterizer import Rasterizer, Rendered
 from bench.errors import BenchError
 from bench.gaussians.map import GaussianMap
 from bench.types import Float, Map, PinholeView, RenderedView
+
+
+def as_arrays(rendered: Rendered) -> RenderedView:
+    """A render as numpy arrays, colours clamped to [0, 1]."""
+    color = rendered.color.clamp(0.0, 1.0).permute(1, 2, 0).float().cpu().numpy()
+    return RenderedView(color, rendered.depth.float().cpu().numpy(), rendered.alpha.float().cpu().numpy())
 
 
 class GaussianMapView(MapView):
@@ -22,8 +28,7 @@ class GaussianMapView(MapView):
     def render(self, view: PinholeView) -> RenderedView:
         """The map from a view, colours clamped to [0, 1]."""
         rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
-        color = rendered.color.clamp(0.0, 1.0).permute(1, 2, 0).float().cpu().numpy()
-        return RenderedView(color, rendered.depth.float().cpu().numpy(), rendered.alpha.float().cpu().numpy())
+        return as_arrays(rendered)
 
     def differentiate(self, view: PinholeView, loss: ImageLoss) -> tuple[float, Float]:
         """Value and gradient (6,) by the twist; ``BenchError`` for a loss that does not depend on the render."""

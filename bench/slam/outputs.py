@@ -65,7 +65,8 @@ def _rendered(system: System, camera: View, number: int, T_world_cam: Float) -> 
     )
     if system.mapper.needs_depth and camera == "right":
         raise CannotRenderError("the mapper needs the depth of a view, and stereo gives none of right views")
-    rendered = system.mapper.render(view, *([_depth_of(system, number)] if system.mapper.needs_depth else []))
+    depth = _depth_of(system, number) if system.mapper.needs_depth else None
+    rendered = system.mapper.render_frame(number, camera == "right", view, depth)
     if not np.isfinite(rendered.color).all():
         raise BenchError(
             f"{type(system.mapper).__name__}.render gave NaN in the colours of frame {number}, {camera} view: the map "

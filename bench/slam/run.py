@@ -261,5 +261,6 @@ def _map_keyframe(system: System, done: Progress, seen: Seen) -> dict[str, Any]:
     return {
         "mapped": True,
         "psnr_while_mapping": report.psnr_db,
+        **({"right_mapped": True} if system.mapper.uses_right_images else {}),
         **size,
     }

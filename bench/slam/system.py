@@ -52,6 +52,11 @@ class System:
             parts["tracker"], config.plugin("tracker"), config.values["dataset"], config.cache
         )
         parts["mapper"].start(dataset.camera, losses, config.values["seed"])
+        if parts["mapper"].uses_right_images and not dataset.has_right:
+            raise BenchError(
+                f"mapper={config.plugin('mapper').name} is set to use right images, and {dataset.label} has none. See "
+                f"its settings: bgs-bench list mapper {config.plugin('mapper').name}."
+            )
         looking = [kind for kind in ("tracker", "keyframer") if parts[kind].uses_map]
         view = parts["mapper"].view() if looking else None
         if looking and view is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -87,4 +87,15 @@ def target_of(
         torch.from_numpy(mask).to(device),
         view,
         None if keyframe.depth.confidence is None else torch.from_numpy(keyframe.depth.confidence).to(device),
+    )
+
+
+def right_target_of(
+    keyframe: Keyframe, view: PinholeView, depth_range_m: tuple[float, float], device: torch.device
+) -> Target:
+    """The full-resolution target of a keyframe's right image, without depth: stereo knows that of the left image."""
+    _, right = keyframe.frame.pair("Learning from right images", "mapper.right_images=0")
+    blind = replace(keyframe.depth, depth=np.full(right.shape[:2], np.nan, np.float32))
+    return target_of(
+        replace(keyframe, frame=replace(keyframe.frame, left=right), depth=blind, sky=None), view, depth_range_m, device
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.contracts.dataset import Dataset
-from bench.errors import BenchError
+from bench.errors import BenchError, require_between
 from bench.registry import PluginConfig, register
 from bench.street.casting import cast, pinhole_rays
 from bench.street.lidar import lidar_depth, lidar_points
@@ -29,6 +29,7 @@ _WANDER_M = 0.2
 _WANDER_WAVE_M = 97.0
 # Farther ahead or behind, the lorry is left out.
 _TRUCK_SEEN_M = 200.0
+_JUMPS_PER_FRAME = 0.3
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,9 @@ class StreetConfig(PluginConfig):
     """A lorry overtakes and covers about half of the image."""
     truck_frames: tuple[int, int] = (20, 50)
     """First and last frame in which the lorry stays alongside."""
+    exposure_jumps: float = 0.0
+    """An automatic exposure, the same in both cameras: every few frames the brightness is another one, times a factor
+    of up to 1 plus or minus this share and plus or minus a tenth of it of the full range."""
 
     def __post_init__(self) -> None:
         if self.frames < 1:
@@ -69,6 +73,7 @@ class StreetConfig(PluginConfig):
             raise BenchError(
                 f"dataset.truck_frames={list(self.truck_frames)} must be [first, last] with 0 <= first <= last."
             )
+        require_between("dataset", self, 0, 0.9, "exposure_jumps")
         self._check_circuit()
 
     def _check_circuit(self) -> None:
@@ -93,8 +98,13 @@ class Street(Dataset):
     """
 
     def __init__(self, config: StreetConfig) -> None:
-        options = (("circuit", config.circuit_m > 0), ("repeated", config.repeated_facades), ("truck", config.truck))
-        self.label = "-".join([f"street/{config.seed}", *(name for name, used in options if used)])
+        options = {
+            "circuit": config.circuit_m > 0,
+            "repeated": config.repeated_facades,
+            "truck": config.truck,
+            "exposure": config.exposure_jumps > 0,
+        }
+        self.label = "-".join([f"street/{config.seed}", *(name for name, used in options.items() if used)])
         self.numbers = tuple(range(config.frames))
         focal = _FOCAL_PER_WIDTH * config.width
         self.camera = StereoCamera(
@@ -118,6 +128,9 @@ class Street(Dataset):
         T = self._pose(position)
         scene = Scene(self._surfaces(position), self._street.path, self._arc_length(position))
         left, right = (render(self.camera, pose, scene) for pose in (T, T @ self.camera.T_left_right))
+        if self._config.exposure_jumps:
+            gain, bias = self._exposure(position)
+            left, right = (np.clip(np.round(gain * image + bias), 0, 255).astype(np.uint8) for image in (left, right))
         return StereoFrame(self.numbers[position], position / _RATE_HZ, left, right)
 
     def ground_truth(self) -> Trajectory:
@@ -140,6 +153,14 @@ class Street(Dataset):
         """Depth at the pixels that see a return of the simulated LiDAR."""
         points = lidar_points(self.camera, self._pose(position), self._surfaces(position))
         return lidar_depth(self.camera, points, self.true_depth(position))
+
+    def _exposure(self, position: int) -> tuple[float, float]:
+        """Factor and offset, in grey levels, since the last jump; the drive begins without."""
+        jumps, factors, offsets = np.random.default_rng(self._config.seed).uniform(-1, 1, (position + 1, 3)).T
+        jumps[0] = -1
+        last = np.flatnonzero(jumps < 2 * _JUMPS_PER_FRAME - 1)[-1]
+        share = self._config.exposure_jumps if last else 0.0
+        return 1 + share * factors[last], 25.5 * share * offsets[last]
 
     def _arc_length(self, position: int) -> float:
         return position * self._config.speed_m

@@ -49,9 +49,8 @@ class ImageEvaluator(ViewEvaluator):
         else:
             reason = "LPIPS is of whole images, and protocol.sky=out leaves a part of them out"
             self._about = {"notes": {"lpips": reason}}
-        if run.protocol.right_view and not run.dataset.has_right:
-            reason = f"{run.dataset.label} has no right images"
-            self._about = {"notes": {**self._about.get("notes", {}), "right": reason}}
+        if run.protocol.right_view and (reason := _about_right(run)):
+            self._about = {**self._about, "notes": {**self._about.get("notes", {}), "right": reason}}
 
     def view(self, view: SavedView) -> None:
         """Score a render against its image."""
@@ -91,6 +90,16 @@ def _score_without_sky(run: SavedRun, view: SavedView, render: Image) -> dict[st
     scores = psnr_where(render, view.image, ~sky), ssim_where(render, view.image, ~sky, run.protocol.ssim)
     known = [value if math.isfinite(value) else None for value in scores]
     return {"psnr_db": known[0], "ssim": known[1], "lpips": None}
+
+
+def _about_right(run: SavedRun) -> str:
+    """Why not all right views are scored; empty where they are."""
+    if not run.dataset.has_right:
+        return f"{run.dataset.label} has no right images"
+    if not run.right_images_mapped:
+        return ""
+    which = "at held-out frames only" if run.numbers("right", "right") else "not at all, since none is held out"
+    return f"mapping saw right images of keyframes, so the right camera is scored {which}"
 
 
 def _no_sky(run: SavedRun) -> str:

@@ -17,16 +17,21 @@ from bench.contracts.loss import LossTerm, NotFiniteError
 from bench.contracts.map_view import MapView
 from bench.contracts.mapper import Mapper
 from bench.contracts.rasterizer import Rasterizer
-from bench.errors import BenchError, require_between, require_least
+from bench.errors import BenchError, require_between, require_choice, require_least
 from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.map import GaussianMap
-from bench.gaussians.map_view import GaussianMapView
+from bench.gaussians.map_view import GaussianMapView, as_arrays
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
+from bench.gaussians.pose_refinement import PoseRefinement
 from bench.gaussians.schema import MAX_DEGREE, OPACITY_LOGIT
 from bench.gaussians.seeding import SeedingConfig, depth_to_seed_from, seed_gaussians
 from bench.registry import PluginConfig, plugin_field, register
-from bench.supervision.target import Target, target_of
+from bench.supervision.appearance import CAMERA_COLORS, Appearance
+from bench.supervision.target import Target, right_target_of, target_of
 from bench.types import Event, Keyframe, Map, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
+
+# Steps of a new keyframe's pose before it adds Gaussians.
+_SETTLING_STEPS = 12
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,20 @@ class GaussianMapperConfig(PluginConfig):
     following every small correction of local bundle adjustment changes quality by less than 0.1 dB either way."""
     follow_corrections_deg: float = field(default=0.05, metadata={"infinite": True})
     """The same in degrees; one of the two is enough."""
+    right_images: float = 0.0
+    """Share of the views that are right images of keyframes, with the colour terms alone; 0: mapping never sees one.
+    With more, or with ``camera_color``, the right camera is scored at held-out frames only."""
+    camera_color: str = "none"
+    """How the right camera's colours differ from the left one's in each keyframe, by pixels that stereo depth matches:
+    none (not at all), gain_bias (per channel) or affine (3x3 and bias). Right images are learned from, and right views
+    rendered, in the right camera's colours; those of frames in between lie between their neighbours'."""
+    exposure: bool = False
+    """Learn a gain and a bias per channel of each keyframe, relative to the first; for automatic exposure. Frames in
+    between are rendered with what lies between those of their neighbours."""
+    pose_refinement: float = 0.0
+    """Rate at which keyframes' poses are optimised with the map, in metres a step (radians: a tenth); 0: the tracker's
+    stay. For handheld data, for example 1e-3. The corrections are the mapper's own: frames in between are rendered with
+    what lies between those of their neighbours, and the trajectory that is scored stays the tracker's."""
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
     """Where new Gaussians start."""
     rasterizer: PluginConfig = plugin_field("rasterizer", "cpu")
@@ -79,8 +98,9 @@ class GaussianMapperConfig(PluginConfig):
             raise BenchError(f"mapper.sh_degree={self.sh_degree} must be 0 to {MAX_DEGREE}.")
         if self.iterations < 1 or self.final_iterations < 0:
             raise BenchError("mapper.iterations must be at least 1 and mapper.final_iterations at least 0.")
-        require_between("mapper", self, 0, 1, "coarse_share", "prune_opacity")
-        rates = ("position_rate", "color_rate", "opacity_rate", "scale_rate", "rotation_rate")
+        require_between("mapper", self, 0, 1, "coarse_share", "prune_opacity", "right_images")
+        require_choice("mapper.camera_color", self.camera_color, CAMERA_COLORS)
+        rates = ("position_rate", "color_rate", "opacity_rate", "scale_rate", "rotation_rate", "pose_refinement")
         require_least("mapper", self, cached_targets=1, **dict.fromkeys(rates, 0))
         if min(self.newest_share, self.window_share) < 0 or self.newest_share + self.window_share > 1:
             raise BenchError(
@@ -107,6 +127,7 @@ class GaussianMapper(Mapper):
     def __init__(self, config: GaussianMapperConfig) -> None:
         self.config = config
         self._rasterizer: Rasterizer = registry.build(config.rasterizer, "rasterizer")
+        self.uses_right_images = config.right_images > 0 or config.camera_color != "none"
 
     def start(self, camera: StereoCamera, losses: Sequence[LossTerm], seed: int) -> None:
         c = self.config
@@ -116,8 +137,10 @@ class GaussianMapper(Mapper):
         self._optimizer = MapOptimizer(rates)
         self._map = GaussianMap(c.sh_degree, self._rasterizer.device)
         self._keyframes: dict[int, Keyframe] = {}
-        self._views: dict[int, PinholeView] = {}
-        self._targets: OrderedDict[int, tuple[Target, Target]] = OrderedDict()
+        self._views: dict[tuple[int, bool], PinholeView] = {}
+        self._targets: OrderedDict[tuple[int, bool], tuple[Target, Target]] = OrderedDict()
+        self._appearance = Appearance(camera, c.camera_color, c.exposure)
+        self._refinement = PoseRefinement(c.pose_refinement)
         self._final_done = 0
         self._happened: list[tuple[str, dict[str, Any]]] = []
 
@@ -131,8 +154,11 @@ class GaussianMapper(Mapper):
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
         number = keyframe.frame.number
-        self._keyframes[number] = _without_right(keyframe)
+        self._keyframes[number] = self._to_keep(keyframe)
+        self._appearance.camera_colors.learn(keyframe)
+        self._refinement.add(number)
         self._let_go(window)
+        self._settle(number)
         self._seed(keyframe)
         coarse = round(self.config.iterations * self.config.coarse_share)
         values: dict[str, float] = {}
@@ -149,7 +175,7 @@ class GaussianMapper(Mapper):
             known = self._keyframes.get(number)
             if known is not None and not np.array_equal(known.T_world_cam, pose):
                 self._keyframes[number] = replace(known, T_world_cam=pose)
-                self._views.pop(number, None)
+                self._forget_views(number)
         c = self.config
         motion = self._map.follow(trajectory, c.follow_corrections_m, c.follow_corrections_deg)
         if motion.keyframes:
@@ -179,6 +205,8 @@ class GaussianMapper(Mapper):
             "optimizer_steps": self._optimizer.steps,
             "poses": {number: torch.from_numpy(known.T_world_cam) for number, known in self._keyframes.items()},
             "final_done": self._final_done,
+            "appearance": self._appearance.state(),
+            "refinement": self._refinement.state(),
             # Numbers of 128 bits, which a restricted unpickler need not know.
             "random": json.dumps(self._random.bit_generator.state),
         }
@@ -187,7 +215,9 @@ class GaussianMapper(Mapper):
         for keyframe in keyframes:
             pose = state["poses"].get(keyframe.frame.number)
             if pose is not None:
-                self._keyframes[keyframe.frame.number] = _without_right(replace(keyframe, T_world_cam=pose.numpy()))
+                self._keyframes[keyframe.frame.number] = self._to_keep(replace(keyframe, T_world_cam=pose.numpy()))
+        self._appearance.restore(state["appearance"])
+        self._refinement.restore(state["refinement"])
         self._map.restore(state["map"])
         self._optimizer.steps = state["optimizer_steps"]
         self._final_done = state["final_done"]
@@ -195,6 +225,14 @@ class GaussianMapper(Mapper):
 
     def render(self, view: PinholeView, depth: Map | None = None) -> RenderedView:
         return self.view().render(view)
+
+    def render_frame(self, number: int, right: bool, view: PinholeView, depth: Map | None = None) -> RenderedView:
+        if self._refinement.on:
+            offset = self._camera.T_left_right if right else np.eye(4)
+            left = self._refinement.corrected(number, view.T_world_cam @ np.linalg.inv(offset))
+            view = replace(view, T_world_cam=left @ offset)
+        rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
+        return as_arrays(replace(rendered, color=self._appearance.shown(rendered.color, number, right)))
 
     def view(self) -> MapView:
         return GaussianMapView(self._map, self._rasterizer)
@@ -212,23 +250,38 @@ class GaussianMapper(Mapper):
         if np.isfinite(gaps).any():
             number = int(numbers[1 + np.argmin(gaps)])
             del self._keyframes[number]
-            self._views.pop(number, None)
-            self._targets.pop(number, None)
+            self._forget_views(number)
+            self._targets.pop((number, False), None)
+            self._targets.pop((number, True), None)
 
-    def _view(self, number: int) -> PinholeView:
+    def _to_keep(self, keyframe: Keyframe) -> Keyframe:
+        """What is learned from again: right images only where they are, since those of a long sequence fill memory."""
+        if self.config.right_images > 0:
+            keyframe.frame.pair("mapper.right_images", "mapper.right_images=0")
+            return keyframe
+        return replace(keyframe, frame=replace(keyframe.frame, right=None))
+
+    def _view(self, number: int, right: bool = False) -> PinholeView:
         """The view of a keyframe, made once per pose."""
-        if number not in self._views:
-            self._views[number] = PinholeView.of(self._camera, self._keyframes[number].T_world_cam)
-        return self._views[number]
+        if (number, right) not in self._views:
+            T_world_cam = self._refinement.corrected(number, self._keyframes[number].T_world_cam)
+            T_world_cam = T_world_cam @ self._camera.T_left_right if right else T_world_cam
+            self._views[number, right] = PinholeView.of(self._camera, T_world_cam)
+        return self._views[number, right]
 
-    def _target(self, number: int, half: bool) -> Target:
+    def _forget_views(self, number: int) -> None:
+        self._views.pop((number, False), None)
+        self._views.pop((number, True), None)
+
+    def _target(self, number: int, half: bool, right: bool = False) -> Target:
         """The cached target of a keyframe; the least recently used one is dropped."""
-        pair = self._targets.pop(number, None)
+        pair = self._targets.pop((number, right), None)
         if pair is None:
-            view, device = self._view(number), self._map.device
-            full = target_of(self._keyframes[number], view, self.config.depth_range_m, device)
+            view, device = self._view(number, right), self._map.device
+            make = right_target_of if right else target_of
+            full = make(self._keyframes[number], view, self.config.depth_range_m, device)
             pair = (full, full.halved())
-        self._targets[number] = pair
+        self._targets[number, right] = pair
         while len(self._targets) > self.config.cached_targets:
             self._targets.popitem(last=False)
         return pair[int(half)]
@@ -244,19 +297,43 @@ class GaussianMapper(Mapper):
             return older[int(self._random.integers(len(older)))]
         return newest
 
-    def _iterate(self, number: int, half: bool, step: str) -> dict[str, float]:
-        """One render of a keyframe, its losses, and one step of the optimizer; an error says which ``step`` it was."""
-        target = self._target(number, half)
-        view = self._view(number)
+    def _iterate(self, number: int, half: bool, step: str, map_learns: bool = True) -> dict[str, float]:
+        """One render of a keyframe, its losses, and one step of the optimizer; an error says which ``step`` it was.
+
+        Without ``map_learns`` the map stays, and only the keyframe's exposure and pose learn.
+        """
+        share = self.config.right_images if map_learns else 0.0
+        right = share > 0 and bool(self._random.random() < share)
+        target, view = self._target(number, half, right), self._view(number, right)
         rendered = self._rasterizer.render(self._map.planes, view.halved() if half else view)
+        if not right:
+            self._appearance.exposures.learn(number, rendered.color, rendered.alpha, target)
+        shown = self._appearance.shown(rendered.color, number, right, target.image)
         try:
-            values, gradients = self._losses.evaluate(rendered, target)
+            values, (by_color, by_depth, by_alpha) = self._losses.evaluate(replace(rendered, color=shown), target)
         except NotFiniteError as error:
             size = "at half resolution" if half else "at full resolution"
             raise BenchError(f"{step} (view of frame {number}, {size}): {error}") from error
-        by_parameters = self._rasterizer.backward(rendered, *gradients)
-        self._optimizer.step(self._map, by_parameters)
+        refine = self._refinement.on and not right
+        by_color = self._appearance.back(by_color, shown, number, right, target.image)
+        by_parameters = self._rasterizer.backward(rendered, by_color, by_depth, by_alpha, pose=refine)
+        if map_learns:
+            self._optimizer.step(self._map, by_parameters)
+        if refine:
+            assert by_parameters.twist is not None
+            self._refinement.step(number, by_parameters.twist)
+            self._forget_views(number)
         return values
+
+    def _settle(self, number: int) -> None:
+        """Fit exposure and pose of a new keyframe to the map before it adds to it, where they are learned."""
+        if not self.config.exposure and not self._refinement.on:
+            return
+        rendered = self._rasterizer.render(self._map.planes, self._view(number).halved(), differentiable=False)
+        target = self._target(number, half=True)
+        self._appearance.exposures.learn(number, rendered.color, rendered.alpha, target, share=1.0)
+        for _ in range(_SETTLING_STEPS if self.gaussians and self._refinement.on else 0):
+            self._iterate(number, True, f"settling of keyframe {number}", map_learns=False)
 
     def _seed(self, keyframe: Keyframe) -> None:
         """Add Gaussians where the map does not explain the keyframe yet (METHOD, "seeding")."""
@@ -266,11 +343,13 @@ class GaussianMapper(Mapper):
         unexplained = np.ones((view.height, view.width + 2 * margin), bool)
         if self.gaussians:
             rendered = self._rasterizer.render(self._map.planes, view.widened(margin), differentiable=False)
-            error = (rendered.color[..., margin : margin + view.width] - target.image).abs().mean(0)
+            shown = self._appearance.shown(rendered.color, number, right=False)
+            error = (shown[..., margin : margin + view.width] - target.image).abs().mean(0)
             error = torch.nn.functional.pad(error, (margin, margin))
             unexplained = ((rendered.alpha < c.seeding.max_alpha) | (error > c.seeding.min_error)).cpu().numpy()
         depth = depth_to_seed_from(keyframe, c.depth_range_m, c.seeding)
-        planes, depths = seed_gaussians(keyframe.frame.left, depth, keyframe.sky, unexplained, view, c.seeding)
+        image = self._appearance.in_map(number, keyframe.frame.left)
+        planes, depths = seed_gaussians(image, depth, keyframe.sky, unexplained, view, c.seeding)
         self._map.add(number, self._keyframes[number].T_world_cam, planes, depths)
 
     def _require_finite(self, when: str) -> None:
@@ -298,10 +377,6 @@ class GaussianMapper(Mapper):
 
     def _psnr(self, number: int) -> float:
         rendered = self._rasterizer.render(self._map.planes, self._view(number), differentiable=False)
-        error = rendered.color.clamp(0.0, 1.0) - self._target(number, half=False).image
+        shown = self._appearance.shown(rendered.color, number, right=False)
+        error = shown.clamp(0.0, 1.0) - self._target(number, half=False).image
         return float(-10.0 * torch.log10((error * error).mean().clamp_min(1e-10)))
-
-
-def _without_right(keyframe: Keyframe) -> Keyframe:
-    """Replay needs the left image and the depth only; the right images of a long sequence would fill the memory."""
-    return replace(keyframe, frame=replace(keyframe.frame, right=None))

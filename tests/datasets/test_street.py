@@ -257,3 +257,26 @@ def test_lorry_never_runs_over_the_camera(seed: int) -> None:
 def test_settings_out_of_range(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(BenchError, match=message):
         Street(StreetConfig(**settings))
+
+
+def test_exposure_jumps_in_both_cameras_alike_and_stays_for_some_frames() -> None:
+    size: dict[str, Any] = {"width": 64, "height": 32, "seed": 2}
+    plain, jumping = (
+        Street(StreetConfig(frames=12, **size)),
+        Street(StreetConfig(frames=12, exposure_jumps=0.3, **size)),
+    )
+    assert jumping.label == "street/2-exposure"
+    np.testing.assert_array_equal(jumping.frame(0).left, plain.frame(0).left)
+    found = []
+    for k in range(12):
+        frames = plain.frame(k), jumping.frame(k)
+        (left, right), (new_left, new_right) = ([f.left.astype(float), f.right.astype(float)] for f in frames)
+        inside = (new_left > 0) & (new_left < 255)
+        gain, bias = np.polyfit(left[inside], new_left[inside], 1)
+        assert np.abs(np.clip(gain * right + bias, 0, 255) - new_right).max() < 2
+        assert 0.69 < gain < 1.31
+        assert abs(bias) < 8
+        found.append(round(float(gain), 2))
+    assert 3 <= len(set(found)) <= 8
+    longer = Street(StreetConfig(frames=30, exposure_jumps=0.3, **size))
+    np.testing.assert_array_equal(longer.frame(11).left, jumping.frame(11).left)

@@ -188,12 +188,25 @@ def test_depth_is_scored_on_left_views_with_returns(tiny_run: Path) -> None:
     assert metrics["notes"]["depth_l1"] == "3 of 4 left views have LiDAR returns in range"
 
 
-def test_the_stamp_says_when_mapping_saw_right_images(tiny_run: Path) -> None:
-    assert evaluate_run(tiny_run)["protocol"]["right_images_mapped"] is False
+def test_where_mapping_saw_right_images_only_held_out_ones_are_scored(tiny_run: Path) -> None:
+    before = evaluate_run(tiny_run)
+    assert before["protocol"]["right_images_mapped"] is False
+    assert before["views"]["right"]["n"] == 4
+    assert "right" not in before.get("notes", {})
     frames = pd.read_csv(tiny_run / "frames.csv")
-    frames["right_mapped"] = frames["number"] == 11
+    frames["right_mapped"] = np.where(frames["number"] == 11, True, None)
     frames.to_csv(tiny_run / "frames.csv", index=False)
-    assert evaluate_run(tiny_run)["protocol"]["right_images_mapped"] is True
+    metrics = evaluate_run(tiny_run)
+    assert metrics["protocol"]["right_images_mapped"] is True
+    assert metrics["views"]["right"]["n"] == 1
+    assert metrics["notes"]["right"].endswith("at held-out frames only")
+    per_frame = pd.read_csv(tiny_run / "per_frame.csv")
+    assert per_frame[per_frame["view"] == "right"]["number"].tolist() == [HELD_OUT]
+    frames["heldout"] = False
+    frames.to_csv(tiny_run / "frames.csv", index=False)
+    metrics = evaluate_run(tiny_run)
+    assert "right" not in metrics["views"]
+    assert metrics["notes"]["right"].endswith("not at all, since none is held out")
 
 
 def test_files_hold_the_same_and_no_nan(tiny_run: Path) -> None:

@@ -17,6 +17,7 @@ from bench.gaussians.parameters import NamedParameters
 from bench.gaussians.ply import read_ply
 from bench.gaussians.schema import OPACITY_LOGIT
 from bench.gaussians.seeding import SeedingConfig
+from bench.geometry import se3
 from bench.supervision.target import Target
 from bench.types import DepthMap, Keyframe, PinholeView, Trajectory
 from plugins.datasets.street import Street, StreetConfig
@@ -186,6 +187,76 @@ def test_update_poses_moves_the_views_that_mapping_learns_from() -> None:
     np.testing.assert_allclose(views[0].T_world_cam, corrected, atol=0)
 
 
+ALL_THAT_IS_LEARNED: dict[str, object] = {
+    "right_images": 0.5,
+    "camera_color": "affine",
+    "exposure": True,
+    "pose_refinement": 1e-3,
+}
+
+
+def test_right_images_are_learned_from_in_the_right_cameras_colours() -> None:
+    """The right camera of this street is darker. Its view of frame 2, which is left out, shows what that brings."""
+    dataset, keyframes = street()
+    dim = [replace(k, frame=replace(k.frame, right=np.uint8(k.frame.right * 0.7))) for k in keyframes]
+    view = PinholeView.of(dataset.camera, keyframes[2].T_world_cam @ dataset.camera.T_left_right)
+    truth, found = dim[2].frame.right / 255, {}
+    for name, settings in {
+        "left alone": {},
+        "colours": {"camera_color": "gain_bias"},
+        "learned": {"camera_color": "gain_bias", "right_images": 0.5},
+    }.items():
+        mapper = started(iterations=12, **settings)
+        for k in (0, 1, 3):
+            mapper.add_keyframe(dim[k], [0, 1, 3])
+        assert mapper.uses_right_images == (name != "left alone")
+        found[name] = -10 * np.log10(((mapper.render_frame(2, True, view).color - truth) ** 2).mean())
+    assert found["colours"] > found["left alone"] + 1
+    assert found["learned"] > found["colours"] + 0.1
+
+
+def test_right_images_that_are_not_there() -> None:
+    keyframe = street()[1][0]
+    with pytest.raises(BenchError, match=r"mapper\.right_images needs a right image.*mapper\.right_images=0"):
+        started(right_images=0.5).add_keyframe(replace(keyframe, frame=replace(keyframe.frame, right=None)), [0])
+
+
+def test_exposure_and_pose_of_a_keyframe_are_found() -> None:
+    """Frame 1 comes brighter and from 3 cm and 0.3 degrees beside its pose: a map that knows both fits it better."""
+    dataset, keyframes = street()
+    bright = np.uint8(np.clip(keyframes[1].frame.left * 1.25, 0, 255))
+    off = se3.exp(np.array([0.02, -0.02, 0.01, 0.003, 0.004, 0.0]))
+    second = replace(
+        keyframes[1], frame=replace(keyframes[1].frame, left=bright), T_world_cam=keyframes[1].T_world_cam @ off
+    )
+    reports, mappers = [], []
+    for settings in ({}, {"exposure": True}, {"exposure": True, "pose_refinement": 2e-3}):
+        mappers.append(started(iterations=20, **settings))
+        mappers[-1].add_keyframe(keyframes[0], [0])
+        reports.append(mappers[-1].add_keyframe(second, [0, 1]).psnr_db)
+        shown = mappers[-1].render_frame(1, False, PinholeView.of(dataset.camera, second.T_world_cam)).color
+        assert -10 * np.log10(((shown - bright / 255) ** 2).mean()) == pytest.approx(reports[-1], abs=1e-3)
+    assert np.diff(reports).min() > 0.3
+    middle = np.array([0.4, 0.4, 0.4, 1])
+    np.testing.assert_allclose(mappers[-1]._appearance.colors(1, right=False) @ middle, 0.5, atol=0.03)
+    left_over = se3.log(se3.inverse(keyframes[1].T_world_cam) @ mappers[-1]._view(1).T_world_cam)
+    assert np.linalg.norm(left_over[3:]) < 0.5 * 0.005
+
+
+def test_all_that_is_learned_is_resumed_to_the_bit(tmp_path: Path) -> None:
+    keyframes, whole = street()[1], mapped(iterations=4, **ALL_THAT_IS_LEARNED)
+    broken = started(iterations=4, **ALL_THAT_IS_LEARNED)
+    for k in range(4):
+        broken.add_keyframe(keyframes[k], list(range(k + 1)))
+        torch.save(broken.state(), tmp_path / "state.pt")
+        broken = started(iterations=4, **ALL_THAT_IS_LEARNED)
+        broken.restore(torch.load(tmp_path / "state.pt", weights_only=True), iter(keyframes[: k + 1]))
+    broken.finish()
+    assert saved(broken, tmp_path / "broken.ply") == saved(whole, tmp_path / "whole.ply")
+    view = PinholeView.of(street()[0].camera, np.eye(4))
+    assert np.array_equal(broken.render_frame(2, True, view).color, whole.render_frame(2, True, view).color)
+
+
 def test_a_frame_without_depth_is_survived() -> None:
     """No seeds in the first keyframe: nothing to render yet, and the next one starts the map."""
     keyframe = street()[1][0]
@@ -276,6 +347,9 @@ def test_finish_and_render_without_any_keyframe() -> None:
         ({"newest_share": 0.9, "window_share": 0.2}, r"newest_share \+ mapper.window_share"),
         ({"depth_range_m": (5.0, 2.0)}, r"mapper.depth_range_m=\[5.0, 2.0\] must be \[near, far\]"),
         ({"sh_degree": 4}, "mapper.sh_degree=4 must be 0 to 3"),
+        ({"right_images": 1.2}, "mapper.right_images=1.2 must lie between 0 and 1"),
+        ({"camera_color": "gain"}, "mapper.camera_color='gain' is not one of none, gain_bias, affine"),
+        ({"pose_refinement": -1.0}, "mapper.pose_refinement=-1.0 is too small"),
     ],
 )
 def test_settings_that_make_no_sense(settings: dict[str, object], text: str) -> None:

@@ -70,6 +70,10 @@ def test_a_data_set_without_right_images_passes_its_checks() -> None:
             ["tracker=stereo_orb", "stereo=lidar"],
             "tracker=stereo_orb needs right images, .* Choose tracker=groundtruth",
         ),
+        (
+            ["tracker=groundtruth", "stereo=lidar", "mapper.right_images=0.5"],
+            "mapper=gaussian is set to use right images, and street/0 has none",
+        ),
     ],
 )
 def test_who_needs_right_images_says_so_before_anything_is_written(

@@ -13,7 +13,7 @@ from bench.errors import BenchError
 from bench.geometry import se3
 from bench.io.trajectories import write_kitti, write_tum
 from bench.registry import lookup
-from bench.types import StereoCamera, TrackingResult, Trajectory
+from bench.types import StereoCamera, StereoFrame, TrackingResult, Trajectory
 
 BLANK = np.zeros((240, 480, 3), np.uint8)
 
@@ -46,6 +46,23 @@ def test_groundtruth_gives_each_frame_its_pose(frames: Any) -> None:
     assert second.state == "ok"
     assert second.landmarks is None
     assert replayer.trajectory().numbers.tolist() == [5]
+
+
+def test_groundtruth_with_an_error_that_changes_evenly(make_dataset: Any, small_camera: StereoCamera) -> None:
+    count, settings = 2001, {"noise_m": 0.02, "noise_deg": 0.3, "noise_frames": 4}
+    still = np.tile(np.eye(4), (count, 1, 1))
+    dataset = make_dataset(small_camera, [(BLANK, BLANK)] * count, list(range(count)), still)
+    errors = []
+    for _ in range(2):
+        replayer = tracker("groundtruth", **settings)
+        replayer.start(dataset)
+        poses = [replayer.track(StereoFrame(number, number / 10, BLANK)).T_world_cam for number in range(count)]
+        errors.append(se3.log(np.stack(poses)))
+    np.testing.assert_array_equal(*errors)
+    np.testing.assert_array_equal(errors[0][0], 0)
+    np.testing.assert_allclose(errors[0][2], (errors[0][0] + errors[0][4]) / 2, atol=1e-12)
+    np.testing.assert_allclose(errors[0][4::4, :3].std(), 0.02, rtol=0.05)
+    np.testing.assert_allclose(errors[0][4::4, 3:].std(), np.deg2rad(0.3), rtol=0.05)
 
 
 def test_groundtruth_says_when_there_is_none(make_dataset: Any, small_camera: StereoCamera) -> None:
