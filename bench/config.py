@@ -40,7 +40,7 @@ class RootConfig:
     """The keys of a run; each kind of plugin has its own group beside them."""
 
     system: str = ""
-    """A set of parts and settings in conf/system: bgs_slam, bgs_slam_fast or bgs_slam_paper."""
+    """A set of parts and settings in conf/system: bgs_slam, bgs_slam_fast, bgs_slam_paper or bgs_slam_letter."""
     seed: int = 0
     """Random seed."""
     output: str | None = None
@@ -185,8 +185,10 @@ def resolved(composed: DictConfig) -> RunConfig:
     _check_root(plain)
     for kind in RUN_KINDS:
         if kind in SEVERAL_AT_ONCE:
-            # loss.geo=null leaves the term out, as ~loss.geo does.
-            plain[kind] = {name: part for name, part in (plain[kind] or {}).items() if part is not None}
+            # loss.geo=null leaves the term out, as ~loss.geo does; a part without a name holds a preset's settings for
+            # a term that the run leaves out.
+            parts = (plain[kind] or {}).items()
+            plain[kind] = {name: part for name, part in parts if part is not None and "name" in part}
         elif plain[kind] is None:
             raise BenchError(f"No {kind} is chosen; there are {', '.join(registry.names(kind))}.")
     for kind, mapping in plugins_in(plain):

@@ -133,18 +133,23 @@ class TorchLoss(LossTerm):
 class CoreLoss(TorchLoss):
     """A torch term that the C++ core has too, value and weighted gradient in one pass, for float32 on the CPU."""
 
+    @property
+    def has_kernel(self) -> bool:
+        """Whether the core has the term as it is set; where not, the torch form serves everywhere."""
+        return True
+
     @abstractmethod
     def in_core(self, sums: ImageGradients, rendered: Rendered, target: Target, weight: float) -> float:
         """Add ``weight`` times the gradients for one render to ``sums``; the unweighted value."""
 
     def evaluate(self, rendered: Rendered, target: Target) -> LossValue:
-        if not runs_in_core(rendered, target):
+        if not (self.has_kernel and runs_in_core(rendered, target)):
             return super().evaluate(rendered, target)
         sums = ImageGradients()
         value = self.in_core(sums, rendered, target, 1.0)
         return LossValue(value, sums.color, sums.depth, sums.alpha)
 
     def add_to(self, sums: ImageGradients, rendered: Rendered, target: Target) -> float:
-        if not runs_in_core(rendered, target):
+        if not (self.has_kernel and runs_in_core(rendered, target)):
             return super().add_to(sums, rendered, target)
         return self.in_core(sums, rendered, target, self.config.weight)

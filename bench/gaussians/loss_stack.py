@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
+
+import torch
 
 from bench.contracts.loss import ImageGradients, LossTerm, NotFiniteError
 from bench.contracts.rasterizer import Rendered
@@ -30,10 +33,14 @@ class LossStack:
     ) -> tuple[dict[str, float], tuple[Tensor | None, Tensor | None, Tensor | None]]:
         """Unweighted value of each term by name, and the weighted gradients by colour, depth and alpha.
 
+        Outside ``target.color_mask`` the terms see the image itself in place of the render: no error, no gradient.
         ``NotFiniteError`` names the first term that is NaN or infinite.
         """
         values: dict[str, float] = {}
         sums = ImageGradients()
+        mask = target.color_mask
+        if mask is not None:
+            rendered = replace(rendered, color=torch.where(mask, rendered.color, target.image))
         if self._photometric:
             l1, ssim, sums.color = photometric(rendered.color, target, self._l1, self._ssim)
             for term in self._photometric:
@@ -47,4 +54,6 @@ class LossStack:
                     f"the loss term {name} is {value}. The map or the term is at fault: see whether it happens without "
                     f"the term (loss.{name}.weight=0), and with lower rates of the mapper."
                 )
+        if mask is not None and sums.color is not None:
+            sums.color *= mask
         return values, (sums.color, sums.depth, sums.alpha)

@@ -23,7 +23,8 @@ class Target:
 
     ``image`` (3, H, W) RGB in [0, 1]; ``depth`` (H, W) metres, 0 where it does not supervise; ``depth_mask`` (H, W)
     bool, the paper's M: stereo depth known, within the depth range, not sky; ``confidence`` (H, W) in the depth, from 0
-    to 1, or None from a stereo plugin that has none.
+    to 1, or None from a stereo plugin that has none; ``color_mask`` (H, W) bool, what the terms on colour
+    see, or None for all.
     """
 
     image: Tensor
@@ -31,6 +32,7 @@ class Target:
     depth_mask: Tensor
     view: PinholeView
     confidence: Tensor | None = None
+    color_mask: Tensor | None = None
 
     @cached_property
     def edge_weight(self) -> Tensor:
@@ -47,10 +49,15 @@ class Target:
         assert self.confidence is not None
         return self.edge_weight * self.confidence
 
+    def normals(self, form: str, step: int) -> tuple[Tensor, Tensor]:
+        """Unit normals (3, H, W) of the stereo depth and where they are valid (H, W): see ``normals_from_depth``."""
+        if (form, step) not in self._normals:
+            self._normals[form, step] = normals_from_depth(self.depth, self.depth_mask, self.view, form, step)
+        return self._normals[form, step]
+
     @cached_property
-    def normals(self) -> tuple[Tensor, Tensor]:
-        """Unit normals (3, H, W) of the stereo depth in the camera's frame, and where they are valid (H, W)."""
-        return normals_from_depth(self.depth, self.depth_mask, self.view)
+    def _normals(self) -> dict[tuple[str, int], tuple[Tensor, Tensor]]:
+        return {}
 
     @cached_property
     def local_statistics(self) -> tuple[Tensor, Tensor]:
@@ -63,8 +70,15 @@ class Target:
         h, w = view.height, view.width
         image = torch.nn.functional.avg_pool2d(self.image[None], 2)[0].contiguous()
         pick = (slice(0, 2 * h, 2), slice(0, 2 * w, 2))
-        confidence = None if self.confidence is None else self.confidence[pick].contiguous()
-        return Target(image, self.depth[pick].contiguous(), self.depth_mask[pick].contiguous(), view, confidence)
+        confidence, color_mask = (
+            None if each is None else each[pick].contiguous() for each in (self.confidence, self.color_mask)
+        )
+        depth, depth_mask = self.depth[pick].contiguous(), self.depth_mask[pick].contiguous()
+        return Target(image, depth, depth_mask, view, confidence, color_mask)
+
+
+COLOR_PIXELS = ("all", "ground", "supervised")
+"""What the terms on colour can see: every pixel, all but the sky, or only the paper's M."""
 
 
 def depth_in_range(keyframe: Keyframe, depth_range_m: tuple[float, float]) -> Mask:
@@ -76,17 +90,25 @@ def depth_in_range(keyframe: Keyframe, depth_range_m: tuple[float, float]) -> Ma
 
 
 def target_of(
-    keyframe: Keyframe, view: PinholeView, depth_range_m: tuple[float, float], device: torch.device
+    keyframe: Keyframe,
+    view: PinholeView,
+    depth_range_m: tuple[float, float],
+    device: torch.device,
+    color_pixels: str = "all",
 ) -> Target:
-    """The full-resolution target of a keyframe; ``depth_range_m`` limits which stereo depth supervises."""
+    """The full-resolution target of a keyframe; ``depth_range_m`` limits which stereo depth supervises, ``color_pixels``
+    is one of ``COLOR_PIXELS``."""
     image = torch.from_numpy(keyframe.frame.left).to(device).permute(2, 0, 1).float().div_(255.0).contiguous()
     depth, mask = keyframe.depth.depth, depth_in_range(keyframe, depth_range_m)
+    ground = np.ones(depth.shape, bool) if keyframe.sky is None else ~keyframe.sky
+    color_mask = {"all": None, "ground": ground, "supervised": mask}[color_pixels]
     return Target(
         image,
         torch.from_numpy(np.where(mask, depth, 0.0).astype(np.float32)).to(device),
         torch.from_numpy(mask).to(device),
         view,
         None if keyframe.depth.confidence is None else torch.from_numpy(keyframe.depth.confidence).to(device),
+        None if color_mask is None else torch.from_numpy(color_mask).to(device),
     )
 
 

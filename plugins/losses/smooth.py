@@ -8,35 +8,52 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bench.contracts.loss import CoreLoss, ImageGradients, LossConfig
+from bench.contracts.loss import CoreLoss, ImageGradients
 from bench.contracts.rasterizer import Rendered
-from bench.errors import BenchError
-from bench.geometry.normals import normals_from_depth
+from bench.errors import BenchError, require_choice, require_least
 from bench.registry import register
 from bench.supervision.target import Target
-from plugins.losses.normal import COVERED
+from plugins.losses.normal import COVERED, SurfaceConfig
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 
 @dataclass(frozen=True)
-class SmoothConfig(LossConfig):
-    """Which neighbours a pixel is compared with."""
+class SmoothConfig(SurfaceConfig):
+    """Which neighbours a pixel is compared with, where, and how much an edge between them excuses."""
 
     weight: float = 0.5
     distances: tuple[int, ...] = (1,)
     """The neighbours r over which the paper sums, in pixels."""
+    pixels: str = "covered"
+    """Where normals count: covered = wherever the map covers the pixel, supervised = only in the paper's mask M."""
+    edges: str = "none"
+    """What weakens the term between two pixels: color = exp(-edge_scale |I' - I|), I grey in [0, 1]; depth =
+    exp(-edge_scale |D' - D| / min(D', D)) of the stereo depth, 1 where that is unknown; none."""
+    edge_scale: float = 10.0
+    """How fast an edge weakens the term."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.distances or min(self.distances) < 1:
             raise BenchError(f"loss.smooth.distances={list(self.distances)} must hold positive pixel distances.")
+        require_choice("loss.smooth.pixels", self.pixels, ["covered", "supervised"])
+        require_choice("loss.smooth.edges", self.edges, ["none", "color", "depth"])
+        require_least("loss.smooth", self, edge_scale=0)
+
+    @property
+    def has_kernel(self) -> bool:
+        return super().has_kernel and (self.pixels, self.edges) == ("covered", "none")
 
 
 @register("loss", "smooth", config=SmoothConfig)
 class SmoothLoss(CoreLoss):
     """Norm of the differences of rendered normals to the neighbours below and to the right, over valid depth values."""
+
+    @property
+    def has_kernel(self) -> bool:
+        return bool(self.config.has_kernel)
 
     def in_core(self, sums: ImageGradients, rendered: Rendered, target: Target, weight: float) -> float:
         import bench._native as _native
@@ -48,15 +65,39 @@ class SmoothLoss(CoreLoss):
         )
 
     def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
-        normal, valid = normals_from_depth(depth, alpha.detach() > COVERED, target.view)
+        normal, valid = self.config.rendered_normals(depth, alpha, target)
+        if self.config.pixels == "supervised":
+            valid = valid & target.depth_mask
         total = depth.new_zeros(())
         for r in self.config.distances:
-            for axis in (1, 2):
-                if r >= normal.shape[axis]:
+            for axis in (0, 1):
+                if r >= valid.shape[axis]:
                     continue
-                size = normal.shape[axis] - r
-                here, there = normal.narrow(axis, 0, size), normal.narrow(axis, r, size)
-                both = valid.narrow(axis - 1, 0, size) & valid.narrow(axis - 1, r, size)
+                here, there = (part(normal, axis + 1, r) for part in (_first, _last))
+                both = _first(valid, axis, r) & _last(valid, axis, r)
                 # The small constant keeps the gradient of the norm finite where two normals are equal.
-                total = total + (torch.sqrt(((there - here) ** 2).sum(0) + 1e-12) * both).sum()
+                length = torch.sqrt(((there - here) ** 2).sum(0) + 1e-12)
+                total = total + (length * both * self._excuse(target, axis, r)).sum()
         return total / torch.clamp(valid.sum(), min=1)
+
+    def _excuse(self, target: Target, axis: int, r: int) -> Tensor | float:
+        """The factor of each pixel and its neighbour at distance ``r`` along ``axis``, from 0 (an edge) to 1."""
+        if self.config.edges == "none":
+            return 1.0
+        values = target.image.mean(0) if self.config.edges == "color" else target.depth
+        here, there = _first(values, axis, r), _last(values, axis, r)
+        edge = (there - here).abs()
+        if self.config.edges == "depth":
+            nearer = torch.minimum(here, there)
+            edge = torch.where(nearer > 0, edge / nearer.clamp_min(1e-6), 0.0)
+        return torch.exp(-self.config.edge_scale * edge)
+
+
+def _first(image: Tensor, axis: int, r: int) -> Tensor:
+    """All but the last ``r`` rows or columns."""
+    return image.narrow(axis, 0, image.shape[axis] - r)
+
+
+def _last(image: Tensor, axis: int, r: int) -> Tensor:
+    """All but the first ``r`` rows or columns."""
+    return image.narrow(axis, r, image.shape[axis] - r)

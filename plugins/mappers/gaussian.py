@@ -27,7 +27,7 @@ from bench.gaussians.schema import MAX_DEGREE, OPACITY_LOGIT
 from bench.gaussians.seeding import SeedingConfig, depth_to_seed_from, seed_gaussians
 from bench.registry import PluginConfig, plugin_field, register
 from bench.supervision.appearance import CAMERA_COLORS, Appearance
-from bench.supervision.target import Target, right_target_of, target_of
+from bench.supervision.target import COLOR_PIXELS, Target, right_target_of, target_of
 from bench.types import Event, Keyframe, Map, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
 
 # Steps of a new keyframe's pose before it adds Gaussians.
@@ -64,6 +64,8 @@ class GaussianMapperConfig(PluginConfig):
     """Gaussians below this opacity are removed (paper, "Implementation Details")."""
     depth_range_m: tuple[float, float] = (0.5, 80.0)
     """Stereo depth outside [near, far] neither seeds nor supervises."""
+    color_pixels: str = "all"
+    """What the terms on colour see: all pixels, ground = all but the sky, supervised = where depth supervises."""
     cached_targets: int = 12
     """How many keyframes keep their derived images in memory."""
     replayed_keyframes: int = 1000
@@ -98,6 +100,11 @@ class GaussianMapperConfig(PluginConfig):
             raise BenchError(f"mapper.sh_degree={self.sh_degree} must be 0 to {MAX_DEGREE}.")
         if self.iterations < 1 or self.final_iterations < 0:
             raise BenchError("mapper.iterations must be at least 1 and mapper.final_iterations at least 0.")
+        require_choice("mapper.color_pixels", self.color_pixels, COLOR_PIXELS)
+        if self.color_pixels != "all" and self.right_images > 0:
+            raise BenchError(
+                f"mapper.color_pixels={self.color_pixels} is known of left images only. Give mapper.right_images=0."
+            )
         require_between("mapper", self, 0, 1, "coarse_share", "prune_opacity", "right_images")
         require_choice("mapper.camera_color", self.camera_color, CAMERA_COLORS)
         rates = ("position_rate", "color_rate", "opacity_rate", "scale_rate", "rotation_rate", "pose_refinement")
@@ -277,9 +284,11 @@ class GaussianMapper(Mapper):
         """The cached target of a keyframe; the least recently used one is dropped."""
         pair = self._targets.pop((number, right), None)
         if pair is None:
-            view, device = self._view(number, right), self._map.device
-            make = right_target_of if right else target_of
-            full = make(self._keyframes[number], view, self.config.depth_range_m, device)
+            view, device, c = self._view(number, right), self._map.device, self.config
+            if right:
+                full = right_target_of(self._keyframes[number], view, c.depth_range_m, device)
+            else:
+                full = target_of(self._keyframes[number], view, c.depth_range_m, device, c.color_pixels)
             pair = (full, full.halved())
         self._targets[number, right] = pair
         while len(self._targets) > self.config.cached_targets:

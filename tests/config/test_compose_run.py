@@ -127,15 +127,34 @@ def test_a_mapper_without_gaussians_has_no_rasterizer() -> None:
         compose_run(["mapper=none", "mapper.rasterizer=cpu"])
 
 
-def test_the_paper_preset_has_the_papers_numbers() -> None:
+@pytest.mark.parametrize("system", ["bgs_slam_letter", "bgs_slam_paper"])
+def test_the_papers_presets_have_the_papers_numbers(system: str) -> None:
     """Colour 2.5e-3, rotation 1e-3, scale 1e-3, opacity 5e-2, removal 5e-3; weights .8 .2 .1 .1 .5."""
-    config = compose_run(["system=bgs_slam_paper"])
+    config = compose_run([f"system={system}"])
     mapper = config.values["mapper"]
     rates = [mapper[f"{what}_rate"] for what in ("color", "rotation", "scale", "opacity")]
     assert rates == [2.5e-3, 1e-3, 1e-3, 5e-2]
     assert mapper["prune_opacity"] == 5e-3
     weights = {name: term["weight"] for name, term in config.values["loss"].items()}
     assert weights == {"rgb": 0.8, "ssim": 0.2, "geo": 0.1, "normal": 0.1, "smooth": 0.5}
+
+
+def test_the_letter_reads_nothing_into_the_terms() -> None:
+    """All of its normals have a kernel in the core; nothing is seeded in the sky and in holes."""
+    values = compose_run(["system=bgs_slam_letter"]).values
+    assert (values["mapper"]["seeding"]["fill_holes"], values["mapper"]["seeding"]["sky_distance_m"]) == (False, 0.0)
+    for name in ("normal", "smooth"):
+        assert {key: values["loss"][name][key] for key in ("form", "step", "rendered_depth")} == {
+            "form": "points",
+            "step": 1,
+            "rendered_depth": "raw",
+        }
+
+
+def test_a_presets_settings_for_a_term_that_is_left_out_are_left_out() -> None:
+    values = compose_run(["system=bgs_slam_paper", "loss=[rgb,ssim,geo,normal]"]).values
+    assert list(values["loss"]) == ["rgb", "ssim", "geo", "normal"]
+    assert values["loss"]["normal"]["form"] == "slopes"
 
 
 @pytest.mark.slow

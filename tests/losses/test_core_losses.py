@@ -85,7 +85,8 @@ def test_core_is_closer_to_float64_than_torch_in_float32(name: str) -> None:
     assert isinstance(term, TorchLoss)
     doubles = in_double(rendered, target)
     # The target's normals come from torch in either case; give both the same ones.
-    target.__dict__["normals"] = tuple(part.float() for part in doubles[1].normals[:1]) + doubles[1].normals[1:]
+    normal, valid = doubles[1].normals("points", 1)
+    target._normals["points", 1] = (normal.float(), valid)
     expected = _gradients(term.evaluate(*doubles), doubles[0].depth)
     core = _relative_error(_gradients(term.evaluate(rendered, target), depth), expected)
     torch32 = _relative_error(_gradients(TorchLoss.evaluate(term, rendered, target), depth), expected)
@@ -135,7 +136,9 @@ def _call(name: str, rendered: Rendered, target: Target, grad: Tensor) -> float:
     if name == "geo":
         return _native.geo_loss(rendered.depth, None, target.depth, target.depth_mask, None, 2, 1.0, grad, None, False)
     if name == "normal":
-        return _native.normal_loss(rendered.depth, rendered.alpha, 0.5, *target.normals, *intrinsics, 1.0, grad, False)
+        return _native.normal_loss(
+            rendered.depth, rendered.alpha, 0.5, *target.normals("points", 1), *intrinsics, 1.0, grad, False
+        )
     return _native.smooth_loss(rendered.depth, rendered.alpha, 0.5, [1, 3], *intrinsics, 1.0, grad, False)
 
 

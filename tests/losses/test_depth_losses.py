@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -12,7 +13,7 @@ import torch
 from loss_cases import flat_target, in_double, random_case, view_of
 from torch import Tensor
 
-from bench.contracts.loss import LossTerm
+from bench.contracts.loss import CoreLoss, LossTerm
 from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError
 from bench.geometry.normals import normals_from_depth
@@ -133,17 +134,35 @@ def plane_depth(view: PinholeView, normal: tuple[float, float, float], distance:
 
 
 @pytest.mark.parametrize("toward", [(0.0, 0.0, 1.0), (0.36, 0.48, 0.8), (0.0, 0.8, 0.6), (-0.6, 0.0, 0.8)])
-def test_normals_of_a_plane(toward: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize("step", [1, 3])
+def test_normals_of_a_plane(toward: tuple[float, float, float], step: int) -> None:
     """The plane n . p = 6 seen from its near side: the normal that faces the camera is -n, everywhere."""
     view = view_of(12, 15, focal=40.0)
     depth = plane_depth(view, toward, 6.0)
     assert float(depth.min()) > 0
-    normal, valid = normals_from_depth(depth, torch.ones_like(depth, dtype=torch.bool), view)
-    assert valid[:-1, :-1].all()
-    assert not valid[-1].any()
-    assert not valid[:, -1].any()
-    expected = -torch.tensor(toward, dtype=torch.float64)[:, None, None].expand(3, 11, 14)
-    torch.testing.assert_close(normal[:, :-1, :-1], expected, atol=1e-9, rtol=0)
+    normal, valid = normals_from_depth(depth, torch.ones_like(depth, dtype=torch.bool), view, step=step)
+    assert valid[:-step, :-step].all()
+    assert not valid[-step:].any()
+    assert not valid[:, -step:].any()
+    expected = -torch.tensor(toward, dtype=torch.float64)[:, None, None].expand(3, 12 - step, 15 - step)
+    torch.testing.assert_close(normal[:, :-step, :-step], expected, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_slopes_are_those_of_the_depth_image(step: int) -> None:
+    """z = 3 + 0.75 u has the slopes (-0.75, 0, 1), of length 1.25, whatever the camera."""
+    depth = 3 + 0.75 * torch.arange(6, dtype=torch.float64).expand(5, 6)
+    normal, valid = normals_from_depth(depth, torch.ones(5, 6, dtype=torch.bool), view_of(5, 6), "slopes", step)
+    assert int(valid.sum()) == (5 - step) * (6 - step)
+    torch.testing.assert_close(
+        normal[:, valid].T, torch.tensor([[-0.6, 0.0, 0.8]]).double().expand(int(valid.sum()), 3)
+    )
+
+
+def test_images_smaller_than_the_step_have_no_normals() -> None:
+    normal, valid = normals_from_depth(torch.ones(3, 9), torch.ones(3, 9, dtype=torch.bool), view_of(3, 9), step=3)
+    assert normal.shape == (3, 3, 9)
+    assert not valid.any()
 
 
 def test_normals_need_the_right_and_the_lower_neighbour() -> None:
@@ -213,13 +232,73 @@ def test_smooth_with_several_distances_adds_them() -> None:
     assert float(both) == pytest.approx(float(one) + float(three), rel=1e-9)
 
 
+def test_edges_and_the_mask_excuse_what_is_not_smooth() -> None:
+    """A step of depth between columns 5 and 6 with an edge of grey 0.5 and of 4 in 8 m: each factor by hand."""
+    view = view_of(7, 12, focal=40.0)
+    step = torch.cat([torch.full((7, 6), 4.0), torch.full((7, 6), 8.0)], 1).double()
+    ones = torch.ones_like(step)
+    target = flat_target(step, view)
+    image = target.image.clone()
+    image[:, :, 6:] += 0.5
+
+    def value(**settings: Any) -> float:
+        term = SmoothLoss(SmoothConfig("smooth", form="slopes", **settings))
+        return float(term.loss(ones, step, ones, replace(target, image=image)))
+
+    # Column 5's normal is (-4, 0, 1), all others are (0, 0, 1): two differences in each of 6 rows. Equal normals count
+    # 1e-6, the epsilon.
+    length = float(np.linalg.norm(np.array([-4.0, 0.0, 1.0]) / np.sqrt(17) - [0, 0, 1]))
+    assert value() == pytest.approx(2 * length / 11, abs=3e-6)
+    for edges, edge in (("color", 0.5), ("depth", 1.0)):
+        # The edge lies between columns 5 and 6; columns 4 and 5 are alike.
+        expected = length * (1 + np.exp(-3 * edge)) / 11
+        assert value(edges=edges, edge_scale=3.0) == pytest.approx(expected, abs=3e-6)
+    target = flat_target(step, view, torch.zeros_like(step, dtype=torch.bool))
+    assert value(pixels="supervised") == 0.0
+    assert value(edges="depth") == pytest.approx(2 * length / 11, abs=3e-6), "unknown depth excuses nothing"
+
+
+@pytest.mark.parametrize("term", [NormalLoss, SmoothLoss])
+def test_normals_of_depth_over_alpha_do_not_see_alpha(term: type[CoreLoss]) -> None:
+    """Depth and alpha scaled alike are the same surface."""
+    rendered, target = in_double(*random_case(9, 11, seed=4))
+    name = "normal" if term is NormalLoss else "smooth"
+    config = {NormalLoss: NormalConfig, SmoothLoss: SmoothConfig}[term](name, rendered_depth="normalized")
+    covered = rendered.alpha.clamp_min(0.6)
+    one, other = (
+        float(term(config).loss(rendered.color, rendered.depth * alpha, alpha, target))
+        for alpha in (covered, torch.ones_like(covered))
+    )
+    assert one == pytest.approx(other, rel=1e-9)
+    assert one > 0
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ({"form": "planes"}, "loss.smooth.form='planes' is not one of points, slopes"),
+        ({"step": 0}, "loss.smooth.step=0 must be at least 1 pixel"),
+        ({"rendered_depth": "mean"}, "loss.smooth.rendered_depth='mean' is not one of"),
+        ({"pixels": "sky"}, "loss.smooth.pixels='sky' is not one of"),
+        ({"edges": "colour"}, "loss.smooth.edges='colour' is not one of none, color, depth"),
+        ({"edge_scale": -1.0}, "loss.smooth.edge_scale"),
+    ],
+)
+def test_readings_are_checked(setting: dict[str, Any], told: str) -> None:
+    with pytest.raises(BenchError, match=re.escape(told)):
+        SmoothConfig("smooth", **setting)
+
+
 TERMS: dict[str, Callable[[], LossTerm]] = {
     "geo raw": lambda: GeoLoss(GeoConfig("geo")),
     "geo dense": lambda: GeoLoss(GeoConfig("geo", stride=1, edge_weighted=False)),
     "geo confident": lambda: GeoLoss(GeoConfig("geo", confidence_weighted=True)),
     "geo normalized": lambda: GeoLoss(GeoConfig("geo", rendered_depth="normalized")),
     "normal": lambda: NormalLoss(NormalConfig("normal")),
+    "normal slopes": lambda: NormalLoss(NormalConfig("normal", form="slopes", step=2, rendered_depth="normalized")),
     "smooth": lambda: SmoothLoss(SmoothConfig("smooth", distances=(1, 2))),
+    "smooth points": lambda: SmoothLoss(SmoothConfig("smooth", step=2, edges="color", rendered_depth="normalized")),
+    "smooth slopes": lambda: SmoothLoss(SmoothConfig("smooth", form="slopes", pixels="supervised", edges="depth")),
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -18,6 +18,7 @@ from plugins.losses.geo import GeoConfig, GeoLoss
 from plugins.losses.normal import NormalConfig, NormalLoss
 from plugins.losses.rgb import RgbConfig, RgbLoss
 from plugins.losses.smooth import SmoothConfig, SmoothLoss
+from plugins.losses.ssim import SsimConfig, SsimLoss
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,22 @@ def test_a_users_term_takes_part() -> None:
     assert color is not None
     torch.testing.assert_close(color, 2.0 * torch.sign(rendered.color - target.image) / 90)
     assert depth is None
+
+
+def test_masked_pixels_are_not_seen_by_terms_on_colour() -> None:
+    """L1 by hand: the mean over all pixels of the error where the mask is true."""
+    rendered, target = random_case(5, 6, seed=3)
+    mask = target.depth_mask
+    stack = LossStack([RgbLoss(RgbConfig("rgb", 2.0)), SsimLoss(SsimConfig("ssim", 0.5))])
+    values, (color, _, _) = stack.evaluate(rendered, replace(target, color_mask=mask))
+    error = (rendered.color - target.image).abs() * mask
+    assert values["rgb"] == pytest.approx(float(error.mean()), rel=1e-6)
+    assert color is not None
+    assert not color[:, ~mask].any()
+    assert color[:, mask].all()
+    nothing = replace(target, color_mask=torch.zeros_like(mask))
+    values, (color, _, _) = stack.evaluate(rendered, nothing)
+    assert values == pytest.approx({"rgb": 0.0, "ssim": 0.0}, abs=1e-6)
 
 
 def test_gradients_of_several_terms_add_up() -> None:
