@@ -96,8 +96,8 @@ def target_of(
     device: torch.device,
     color_pixels: str = "all",
 ) -> Target:
-    """The full-resolution target of a keyframe; ``depth_range_m`` limits which stereo depth supervises, ``color_pixels``
-    is one of ``COLOR_PIXELS``."""
+    """The full-resolution target of a keyframe; ``depth_range_m`` limits which stereo depth supervises, and
+    ``color_pixels`` is one of ``COLOR_PIXELS``."""
     image = torch.from_numpy(keyframe.frame.left).to(device).permute(2, 0, 1).float().div_(255.0).contiguous()
     depth, mask = keyframe.depth.depth, depth_in_range(keyframe, depth_range_m)
     ground = np.ones(depth.shape, bool) if keyframe.sky is None else ~keyframe.sky

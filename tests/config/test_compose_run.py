@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import pytest
+import yaml
 
 from bench import registry
 from bench.config import compose_run, register_schema
 from bench.errors import BenchError
+from bench.gaussians.seeding import SeedingConfig
+from bench.installed_data import config_folder
 from bench.plugin_config import plugin_config_from
 from bench.registry import PluginConfig, register
 from bench.swept_values import compose_sweep
+from plugins.mappers.gaussian import GaussianMapperConfig
 from plugins.stereo.sgbm import SgbmConfig
 
 REFUSED = {
@@ -137,6 +141,14 @@ def test_the_papers_presets_have_the_papers_numbers(system: str) -> None:
     assert mapper["prune_opacity"] == 5e-3
     weights = {name: term["weight"] for name, term in config.values["loss"].items()}
     assert weights == {"rgb": 0.8, "ssim": 0.2, "geo": 0.1, "normal": 0.1, "smooth": 0.5}
+
+
+def test_the_letter_says_itself_all_that_decides_its_map() -> None:
+    """So that the defaults can change without it: put new settings into its file with what leaves the map as it was."""
+    letter = yaml.safe_load((config_folder() / "mapper" / "gaussian_letter.yaml").read_text())
+    elsewhere = {"name", "seeding", "rasterizer", "cached_targets", "replayed_keyframes"}
+    assert {f.name for f in fields(GaussianMapperConfig)} - elsewhere <= letter.keys()
+    assert {f.name for f in fields(SeedingConfig)} <= letter["seeding"].keys()
 
 
 def test_the_letter_reads_nothing_into_the_terms() -> None:
