@@ -58,8 +58,15 @@ class Workspace:
     def bytes(self) -> int: ...
 
 def photometric(
-    image: Any, target: Any, mean: Any, variance: Any, weight_l1: float, weight_ssim: float, grad: Any
-) -> tuple[float, float]: ...
+    image: Any,
+    target: Any,
+    mean: Any,
+    variance: Any,
+    weight_l1: float,
+    weight_l2: float,
+    weight_ssim: float,
+    grad: Any,
+) -> tuple[float, float, float]: ...
 def target_statistics(target: Any, mean: Any, variance: Any) -> None: ...
 def normal_loss(
     depth: Any,

@@ -12,6 +12,7 @@ import torch
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.contracts.loss import LossValue
 from bench.contracts.rasterizer import Rendered
+from bench.supervision.photometric import Photometric
 from bench.supervision.ssim import gaussian_blur, ssim
 from bench.supervision.target import Target
 from bench.types import PinholeView
@@ -196,19 +197,21 @@ def _photometric(subject: Subject) -> str | Note:
     """Of a term that is fused with others: its own value is the mixture that it declares."""
     mixture = subject.term.photometric
     if mixture is None:
-        return Note("no: it is evaluated by itself, after the fused L1 + SSIM pass")
+        return Note("no: it is evaluated by itself, after the fused pass of L1, L2 and SSIM")
     rendered, target = make_case(*_SIZE, seed=8, dtype=torch.float32)
-    l1 = (rendered.color - target.image).abs().mean()
-    expected = float(mixture[0] * l1 + mixture[1] * (1 - ssim(rendered.color, target.image, target.local_statistics)))
+    error = rendered.color - target.image
+    dissimilarity = 1 - ssim(rendered.color, target.image, target.local_statistics)
+    parts = Photometric(float(error.abs().mean()), float(error.square().mean()), float(dissimilarity))
+    expected = parts.weighted(mixture)
     found = subject.evaluate((rendered, target)).value
     if abs(found - expected) > 1e-5:
         raise ContractBrokenError(
             f"photometric={mixture} makes {expected:.6f}, evaluate() gives {found:.6f}",
             "the same: with `photometric` set, evaluate() is not called",
-            "leave photometric out unless the term is exactly a * mean L1 + b * (1 - mean SSIM)",
+            "leave photometric out unless the term is exactly a * mean L1 + b * mean L2 + c * (1 - mean SSIM)",
             "evaluate",
         )
-    return f"{mixture[0]} L1 + {mixture[1]} (1 - SSIM), as evaluate() says"
+    return f"{mixture.l1} L1 + {mixture.l2} L2 + {mixture.dssim} (1 - SSIM), as evaluate() says"
 
 
 def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:

@@ -22,6 +22,7 @@ import torch
 from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError, require_least
 from bench.registry import PluginConfig
+from bench.supervision.photometric import Photometric
 from bench.supervision.target import Target
 
 if TYPE_CHECKING:
@@ -85,10 +86,10 @@ def runs_in_core(rendered: Rendered, target: Target) -> bool:
 
 
 class LossTerm(ABC):
-    """One term. ``photometric = (l1, ssim)`` says that the term is this mixture of mean L1 and 1 - mean SSIM of the
+    """One term. ``photometric`` says that the term is this mixture of mean L1, mean L2 and 1 - mean SSIM of the
     colours; all such terms of a run are computed in one fused pass and ``evaluate`` is not called."""
 
-    photometric: tuple[float, float] | None = None
+    photometric: Photometric | None = None
 
     def __init__(self, config: Any) -> None:
         self.config = config

@@ -11,7 +11,7 @@ import torch
 
 from bench.contracts.loss import ImageGradients, LossTerm, NotFiniteError
 from bench.contracts.rasterizer import Rendered
-from bench.supervision.photometric import photometric
+from bench.supervision.photometric import Photometric, photometric
 from bench.supervision.target import Target
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ class LossStack:
         active = [term for term in terms if term.config.weight != 0.0]
         self._photometric = [term for term in active if term.photometric is not None]
         self._others = [term for term in active if term.photometric is None]
-        self._l1 = sum(t.config.weight * t.photometric[0] for t in self._photometric if t.photometric)
-        self._ssim = sum(t.config.weight * t.photometric[1] for t in self._photometric if t.photometric)
+        shares = [[t.config.weight * share for share in t.photometric] for t in self._photometric if t.photometric]
+        self._weights = Photometric(*(sum(column) for column in zip(*shares, strict=True)))
 
     def evaluate(
         self, rendered: Rendered, target: Target
@@ -42,10 +42,10 @@ class LossStack:
         if mask is not None:
             rendered = replace(rendered, color=torch.where(mask, rendered.color, target.image))
         if self._photometric:
-            l1, ssim, sums.color = photometric(rendered.color, target, self._l1, self._ssim)
+            measured, sums.color = photometric(rendered.color, target, self._weights)
             for term in self._photometric:
                 assert term.photometric is not None
-                values[term.config.name] = term.photometric[0] * l1 + term.photometric[1] * (1.0 - ssim)
+                values[term.config.name] = measured.weighted(term.photometric)
         for term in self._others:
             values[term.config.name] = term.add_to(sums, rendered, target)
         for name, value in values.items():

@@ -100,9 +100,9 @@ struct PhotometricArgs {
     const float* target_variance;  // likewise its local variance
     float* grad;           // written; may be null
     int width, height, channels;
-    float weight_l1, weight_ssim;  // of the mean absolute error and of 1 - mean SSIM
+    float weight_l1, weight_l2, weight_ssim;  // of the mean absolute error, of the mean squared error and of 1 - mean SSIM
     int band_height;
-    double* sums;          // per task: sum of |error|, sum of SSIM
+    double* sums;          // per task: sum of |error|, sum of error^2, sum of SSIM
 };
 
 // Where a loss term's gradient by an image goes.

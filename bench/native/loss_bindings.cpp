@@ -2,19 +2,19 @@
 #include "bindings.h"
 
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/pair.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <optional>
-#include <utility>
+#include <tuple>
 #include <vector>
 
 #include "losses.h"
 
 namespace {
 
-std::pair<double, double> photometric(const Array3& image, const Array3& target, const Array3& mean, const Array3& variance, float weight_l1,
-                                      float weight_ssim, std::optional<Array3> grad) {
+std::tuple<double, double, double> photometric(const Array3& image, const Array3& target, const Array3& mean, const Array3& variance, float weight_l1,
+                                               float weight_l2, float weight_ssim, std::optional<Array3> grad) {
     const int channels = static_cast<int>(image.shape(0)), height = static_cast<int>(image.shape(1)), width = static_cast<int>(image.shape(2));
     for (const Array3* a : {&target, &mean, &variance}) check_image(*a, channels, height, width, "target, mean and variance must have the image's shape");
     if (grad) check_image(*grad, channels, height, width, "grad must have the image's shape");
@@ -22,10 +22,10 @@ std::pair<double, double> photometric(const Array3& image, const Array3& target,
     args.image = image.data(), args.target = target.data(), args.target_mean = mean.data(), args.target_variance = variance.data();
     args.grad = grad ? grad->data() : nullptr;
     args.width = width, args.height = height, args.channels = channels;
-    args.weight_l1 = weight_l1, args.weight_ssim = weight_ssim;
+    args.weight_l1 = weight_l1, args.weight_l2 = weight_l2, args.weight_ssim = weight_ssim;
     nb::gil_scoped_release release;
     const bgs::PhotometricResult result = bgs::photometric(args);
-    return {result.l1, result.ssim};
+    return {result.l1, result.l2, result.ssim};
 }
 
 void target_statistics(const Array3& target, Array3& mean, Array3& variance) {
@@ -90,7 +90,7 @@ double geo_loss(const Array2& depth, const std::optional<Array2>& alpha, const A
 
 void bind_losses(nb::module_& m) {
     m.def("photometric", &photometric, "image"_a.noconvert(), "target"_a.noconvert(), "mean"_a.noconvert(), "variance"_a.noconvert(),
-          "weight_l1"_a, "weight_ssim"_a, "grad"_a.noconvert().none());
+          "weight_l1"_a, "weight_l2"_a, "weight_ssim"_a, "grad"_a.noconvert().none());
     m.def("target_statistics", &target_statistics, "target"_a.noconvert(), "mean"_a.noconvert(), "variance"_a.noconvert());
     m.def("normal_loss", &normal_loss, "depth"_a.noconvert(), "alpha"_a.noconvert(), "covered"_a, "target_normals"_a.noconvert(),
           "target_valid"_a.noconvert(), "fx"_a, "fy"_a, "cx"_a, "cy"_a, "weight"_a, "grad_depth"_a.noconvert(), "add"_a);

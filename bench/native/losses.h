@@ -6,7 +6,7 @@
 namespace bgs {
 
 struct PhotometricResult {
-    double l1, ssim;
+    double l1, l2, ssim;
 };
 PhotometricResult photometric(PhotometricArgs args);
 void target_statistics(const float* target, float* mean, float* variance, int width, int height, int channels);

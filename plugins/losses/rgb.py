@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from bench.contracts.loss import LossConfig, TorchLoss
 from bench.registry import register
+from bench.supervision.photometric import Photometric
 from bench.supervision.target import Target
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ class RgbConfig(LossConfig):
 class RgbLoss(TorchLoss):
     """Mean absolute colour error (paper, Eq. 14)."""
 
-    photometric = (1.0, 0.0)
+    photometric = Photometric(l1=1.0)
 
     def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
         return (color - target.image).abs().mean()

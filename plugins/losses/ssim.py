@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from bench.contracts.loss import LossConfig, TorchLoss
 from bench.registry import register
+from bench.supervision.photometric import Photometric
 from bench.supervision.ssim import ssim
 from bench.supervision.target import Target
 
@@ -25,7 +26,7 @@ class SsimConfig(LossConfig):
 class SsimLoss(TorchLoss):
     """1 - mean SSIM, 11x11 Gaussian window as in 3DGS (paper, Eq. 14)."""
 
-    photometric = (0.0, 1.0)
+    photometric = Photometric(dssim=1.0)
 
     def loss(self, color: Tensor, depth: Tensor, alpha: Tensor, target: Target) -> Tensor:
         return 1.0 - ssim(color, target.image, target.local_statistics)

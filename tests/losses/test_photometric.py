@@ -1,4 +1,4 @@
-"""The fused L1 + SSIM kernel against a float64 conv2d SSIM written here, and the rgb and ssim terms against both."""
+"""The fused L1 + L2 + SSIM kernel against a float64 conv2d SSIM written here, and the terms against both."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from skimage.metrics import structural_similarity
 from torch import Tensor
 
 from bench import registry
+from bench.contracts.loss import TorchLoss
 from bench.contracts.rasterizer import Rendered
 from bench.gaussians.loss_stack import LossStack
-from bench.supervision.photometric import photometric
+from bench.supervision.photometric import Photometric, photometric
 from bench.supervision.ssim import local_statistics, ssim
 from bench.supervision.target import Target
+from plugins.losses.mse import MseConfig, MseLoss
 from plugins.losses.rgb import RgbConfig, RgbLoss
 from plugins.losses.ssim import SsimConfig, SsimLoss
 
@@ -38,18 +40,20 @@ SIZES = [(41, 70), (17, 33), (5, 9), (3, 130), (1, 1), (130, 12), (257, 40), (12
 
 
 @pytest.mark.parametrize(("height", "width"), SIZES)
-@pytest.mark.parametrize(("weight_l1", "weight_ssim"), [(0.8, 0.2), (0.0, 1.0), (1.0, 0.0)])
-def test_fused_kernel(height: int, width: int, weight_l1: float, weight_ssim: float) -> None:
+@pytest.mark.parametrize(
+    "weights", [Photometric(0.8, 0.5, 0.2), Photometric(dssim=1.0), Photometric(1.0), Photometric(0.0, 1.0)]
+)
+def test_fused_kernel(height: int, width: int, weights: Photometric) -> None:
     """Sizes below the window, not a multiple of eight lanes, and around the kernel's bands of 128 rows."""
     rendered, target = random_case(height, width, seed=height)
-    l1, similarity, grad = photometric(rendered.color, target, weight_l1, weight_ssim)
+    values, grad = photometric(rendered.color, target, weights)
     leaf, y = rendered.color.double().requires_grad_(), target.image.double()
-    true_l1, true_ssim = (leaf - y).abs().mean(), ssim_with_conv2d(leaf, y)
-    (weight_l1 * true_l1 + weight_ssim * (1 - true_ssim)).backward()
+    true_l1, true_l2, true_ssim = (leaf - y).abs().mean(), (leaf - y).square().mean(), ssim_with_conv2d(leaf, y)
+    (weights.l1 * true_l1 + weights.l2 * true_l2 + weights.dssim * (1 - true_ssim)).backward()
     assert leaf.grad is not None
-    assert l1 == pytest.approx(true_l1.item(), rel=1e-6)
-    if weight_ssim:
-        assert similarity == pytest.approx(true_ssim.item(), abs=2e-6)
+    assert values[:2] == pytest.approx((true_l1.item(), true_l2.item()), rel=1e-6)
+    if weights.dssim:
+        assert values.dssim == pytest.approx(1 - true_ssim.item(), abs=2e-6)
     error = float((grad.double() - leaf.grad).norm() / leaf.grad.norm())
     assert error < 2e-5
 
@@ -73,8 +77,8 @@ def test_the_float64_oracle_is_the_ssim_of_scikit_image() -> None:
 def test_identical_images_and_a_single_pixel_by_hand() -> None:
     """SSIM of an image with itself is 1 and its gradient 0; that of one pixel follows from its weight in the window."""
     _, target = random_case(23, 31, seed=2)
-    l1, similarity, grad = photometric(target.image.clone(), target, 0.8, 0.2)
-    assert (l1, similarity) == (0.0, pytest.approx(1.0, abs=1e-6))
+    values, grad = photometric(target.image.clone(), target, Photometric(0.8, 0.5, 0.2))
+    assert values == (0.0, 0.0, pytest.approx(0.0, abs=1e-6))
     assert float(grad.abs().max()) < 1e-7
     # One pixel: its window holds the pixel with weight w = 0.26601172^2 and zeros elsewhere.
     w = 0.26601172**2
@@ -84,7 +88,9 @@ def test_identical_images_and_a_single_pixel_by_hand() -> None:
     by_hand = (2 * mx * my + 1e-4) * (2 * cov + 9e-4) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))
     _, one = random_case(1, 1, seed=0)
     single = Target(torch.full((3, 1, 1), y), one.depth, one.depth_mask, one.view)
-    assert photometric(torch.full((3, 1, 1), x), single, 0.0, 1.0)[1] == pytest.approx(by_hand, rel=1e-5)
+    assert photometric(torch.full((3, 1, 1), x), single, Photometric(dssim=1.0))[0].dssim == pytest.approx(
+        1 - by_hand, rel=1e-5
+    )
 
 
 def test_local_statistics_against_conv2d() -> None:
@@ -99,23 +105,26 @@ def test_local_statistics_against_conv2d() -> None:
     torch.testing.assert_close(variance.double(), blur[1] - blur[0] ** 2, atol=1e-6, rtol=0)
 
 
-def _value_and_gradient(term: RgbLoss | SsimLoss, rendered: Rendered, target: Target) -> tuple[float, Tensor]:
+def _value_and_gradient(term: TorchLoss, rendered: Rendered, target: Target) -> tuple[float, Tensor]:
     result = term.evaluate(rendered, target)
     assert result.grad_color is not None
     return result.value, result.grad_color
 
 
-def test_rgb_and_ssim_terms_agree_with_the_fused_pass() -> None:
+def test_the_terms_agree_with_the_fused_pass() -> None:
     rendered, target = random_case(37, 50, seed=4)
-    rgb, structural = RgbLoss(RgbConfig("rgb", 0.8)), SsimLoss(SsimConfig("ssim", 0.2))
-    values, (color, depth, alpha) = LossStack([rgb, structural]).evaluate(rendered, target)
-    rgb_value, rgb_grad = _value_and_gradient(rgb, rendered, target)
-    ssim_value, ssim_grad = _value_and_gradient(structural, rendered, target)
-    assert values == {"rgb": pytest.approx(rgb_value, rel=1e-5), "ssim": pytest.approx(ssim_value, rel=1e-5)}
+    terms: dict[str, TorchLoss] = {
+        "rgb": RgbLoss(RgbConfig("rgb", 0.8)),
+        "mse": MseLoss(MseConfig("mse", 0.5)),
+        "ssim": SsimLoss(SsimConfig("ssim", 0.2)),
+    }
+    values, (color, depth, alpha) = LossStack(list(terms.values())).evaluate(rendered, target)
+    alone = {name: _value_and_gradient(term, rendered, target) for name, term in terms.items()}
+    assert values == {name: pytest.approx(value, rel=1e-5) for name, (value, _) in alone.items()}
     assert color is not None
     assert depth is None
     assert alpha is None
-    expected = 0.8 * rgb_grad + 0.2 * ssim_grad
+    expected = sum(terms[name].config.weight * grad for name, (_, grad) in alone.items())
     assert float((color - expected).norm() / expected.norm()) < 2e-5
 
 

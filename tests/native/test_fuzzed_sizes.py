@@ -54,7 +54,7 @@ def test_losses(seed: int) -> None:
     for twist in (lambda values: values, lambda values: strange(rng, values)):
         image, depth, alpha, other = (twist(values) for values in (image, depth, alpha, other))
         _native.target_statistics(target, mean, variance)
-        _native.photometric(image, target, mean, variance, 0.8, 0.2, grad)
+        _native.photometric(image, target, mean, variance, 0.8, 0.1, 0.2, grad)
         focal = (20.0, 22.0, 0.4 * w, 0.6 * h)
         _native.normal_loss(depth, alpha, 0.5, normals, mask, *focal, 0.1, grad_depth, False)
         _native.smooth_loss(depth, alpha, 0.5, [1, int(rng.integers(1, 50))], *focal, 0.1, grad_depth, True)

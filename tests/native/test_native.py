@@ -38,7 +38,7 @@ def _photometric_value(image: torch.Tensor) -> float:
     mean, variance = torch.empty_like(image), torch.empty_like(image)
     target = image.flip(1).contiguous()
     _native.target_statistics(target, mean, variance)
-    l1, similarity = _native.photometric(image, target, mean, variance, 0.8, 0.2, torch.empty_like(image))
+    l1, _, similarity = _native.photometric(image, target, mean, variance, 0.8, 0.0, 0.2, torch.empty_like(image))
     return float(l1 + similarity)
 
 
@@ -83,7 +83,7 @@ def test_works_after_a_fork() -> None:
 def test_images_of_different_shapes_are_refused(shape: tuple[int, ...], text: str) -> None:
     image, other = torch.zeros(3, 5, 6), torch.zeros(*shape)
     with pytest.raises((ValueError, TypeError), match=text):
-        _native.photometric(image, other, image, image, 1.0, 0.0, None)
+        _native.photometric(image, other, image, image, 1.0, 0.0, 0.0, None)
 
 
 def test_adam_refuses_wrong_shapes() -> None:

@@ -108,7 +108,9 @@ def test_fused_ssim_against_conv2d() -> None:
 
     seconds = interleaved(
         {
-            "fused L1 + SSIM with gradient": lambda: _native.photometric(image, target, mean, variance, 0.8, 0.2, grad),
+            "fused L1 + SSIM with gradient": lambda: _native.photometric(
+                image, target, mean, variance, 0.8, 0.0, 0.2, grad
+            ),
             "conv2d 11x11 with autograd": conv2d,
             "separable conv2d with autograd": separable,
         }
