@@ -26,6 +26,8 @@ class SmoothConfig(SurfaceConfig):
     weight: float = 0.5
     distances: tuple[int, ...] = (1,)
     """The neighbours r over which the paper sums, in pixels."""
+    squared: bool = False
+    """Take the norm's square: small differences, as of noise, count for little."""
     pixels: str = "covered"
     """Where normals count: covered = wherever the map covers the pixel, supervised = only in the paper's mask M."""
     edges: str = "none"
@@ -44,7 +46,7 @@ class SmoothConfig(SurfaceConfig):
 
     @property
     def has_kernel(self) -> bool:
-        return super().has_kernel and (self.pixels, self.edges) == ("covered", "none")
+        return super().has_kernel and (self.squared, self.pixels, self.edges) == (False, "covered", "none")
 
 
 @register("loss", "smooth", config=SmoothConfig)
@@ -75,9 +77,11 @@ class SmoothLoss(CoreLoss):
                     continue
                 here, there = (part(normal, axis + 1, r) for part in (_first, _last))
                 both = _first(valid, axis, r) & _last(valid, axis, r)
-                # The small constant keeps the gradient of the norm finite where two normals are equal.
-                length = torch.sqrt(((there - here) ** 2).sum(0) + 1e-12)
-                total = total + (length * both * self._excuse(target, axis, r)).sum()
+                size = ((there - here) ** 2).sum(0)
+                if not self.config.squared:
+                    # The small constant keeps the gradient of the norm finite where two normals are equal.
+                    size = torch.sqrt(size + 1e-12)
+                total = total + (size * both * self._excuse(target, axis, r)).sum()
         return total / torch.clamp(valid.sum(), min=1)
 
     def _excuse(self, target: Target, axis: int, r: int) -> Tensor | float:

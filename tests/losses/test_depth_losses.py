@@ -249,6 +249,7 @@ def test_edges_and_the_mask_excuse_what_is_not_smooth() -> None:
     # 1e-6, the epsilon.
     length = float(np.linalg.norm(np.array([-4.0, 0.0, 1.0]) / np.sqrt(17) - [0, 0, 1]))
     assert value() == pytest.approx(2 * length / 11, abs=3e-6)
+    assert value(squared=True) == pytest.approx(2 * length**2 / 11, rel=1e-9)
     for edges, edge in (("color", 0.5), ("depth", 1.0)):
         # The edge lies between columns 5 and 6; columns 4 and 5 are alike.
         expected = length * (1 + np.exp(-3 * edge)) / 11
@@ -299,6 +300,7 @@ TERMS: dict[str, Callable[[], LossTerm]] = {
     "smooth": lambda: SmoothLoss(SmoothConfig("smooth", distances=(1, 2))),
     "smooth points": lambda: SmoothLoss(SmoothConfig("smooth", step=2, edges="color", rendered_depth="normalized")),
     "smooth slopes": lambda: SmoothLoss(SmoothConfig("smooth", form="slopes", pixels="supervised", edges="depth")),
+    "smooth squared": lambda: SmoothLoss(SmoothConfig("smooth", form="slopes", squared=True)),
 }
 
 

@@ -15,7 +15,7 @@ from bench.tables.named.find import named_table, table_files
 from bench.tables.named.published import PublishedValue, read_sequences
 from bench.tables.named.published import read_published as read_values
 
-TABLES = {name: named_table(name) for name in table_files()}
+TABLES = {name: table for name in table_files() if (table := named_table(name)).published}
 KITTI = ("03", "05", "06", "07", "09", "10")
 
 

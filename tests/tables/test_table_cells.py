@@ -49,7 +49,7 @@ def test_withheld_cells_say_so() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["main_kitti", "ablation", "backbones"])
+@pytest.mark.parametrize("name", ["main_kitti", "ablation", "backbones", "readings"])
 def test_what_hydra_composes_belongs_to_its_own_row_alone(name: str) -> None:
     table = named_table(name)
     for row in table.rows:
@@ -109,4 +109,12 @@ def test_overrides_hold_or_not() -> None:
 def test_unknown_tables_are_named() -> None:
     with pytest.raises(BenchError, match=r"table='main_kiti' is not one of ablation, .* Did you mean 'main_kitti'\?"):
         named_table("main_kiti")
-    assert sorted(table_files()) == ["ablation", "backbones", "main_kitti", "main_kitti360", "memory", "runtime"]
+    assert sorted(table_files()) == [
+        "ablation",
+        "backbones",
+        "main_kitti",
+        "main_kitti360",
+        "memory",
+        "readings",
+        "runtime",
+    ]
