@@ -10,7 +10,7 @@ from typing import Any
 from bench.contracts.loss import LossTerm
 from bench.contracts.map_view import MapView
 from bench.errors import BenchError
-from bench.types import Event, Keyframe, Map, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
+from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
 
 
 class CannotRenderError(BenchError):
@@ -96,6 +96,11 @@ class Mapper(ABC):
         """What a tracker or keyframer that ``uses_map`` looks at: always the map of now. None (the default): it offers
         nothing. Asked for after ``start``."""
         return None
+
+    def pictures(self) -> Iterator[tuple[str, int, Mask]]:
+        """Masks to look at: of what, of which keyframe, and (H, W). They become ``views/left/WHAT/NUMBER.png`` in the
+        run folder, white where True. None by default."""
+        yield from ()
 
     def size(self) -> dict[str, int]:
         """How large the map is, as named numbers, for example ``{"gaussians": 120000}``; empty (the default) where no

@@ -26,7 +26,7 @@ from bench.runs.config_file import CONFIG_FILE, differing_keys, read_config, wri
 from bench.runs.events import EVENTS_FILE, write_events
 from bench.runs.status import STATUS_FILE, RunStatus, current_status, read_status, write_status
 from bench.runs.trajectory_csv import as_csv
-from bench.types import Event, Image, Map, RenderedView, Trajectory
+from bench.types import Event, Image, Map, Mask, RenderedView, Trajectory
 
 View = Literal["left", "right"]
 
@@ -87,7 +87,7 @@ def map_size(resources: Mapping[str, Any]) -> dict[str, Any]:
     return {name: resources.get(name) for name in named if isinstance(name, str)}
 
 
-def picture_path(folder: Path, view: View, what: Literal["color", "depth"], number: int) -> Path:
+def picture_path(folder: Path, view: View, what: str, number: int) -> Path:
     """Where a run folder keeps the picture of a frame: ``views/left/color/000012.png``."""
     return folder / "views" / view / what / f"{number:06d}.png"
 
@@ -219,6 +219,12 @@ class RunFolder:
         write_image(color_path, color_to_8bit(view_data.color))
         depth_written.result()
 
+    def write_mask(self, what: str, number: int, mask: Mask) -> None:
+        """Save a mask (H, W) of the left image of frame ``number`` in the folder ``views/left/WHAT``."""
+        path = picture_path(self.path, "left", what, number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_image(path, np.uint8(255) * mask)
+
     def write_trajectory(self, trajectory: Trajectory, ground_truth: Trajectory | None) -> None:
         """Save the estimated poses (CSV with frame numbers, KITTI, TUM) and the ground truth (CSV, KITTI)."""
         write_text(self.path / TRAJECTORY_FILE, as_csv(trajectory))
@@ -300,8 +306,7 @@ def _remove_old_outputs(path: Path, map_file: str | None, keep: set[str]) -> Non
         if name not in keep:
             (path / name).unlink(missing_ok=True)
     for view in VIEWS:
-        for what in ("color", "depth"):
-            pictures = path / "views" / view / what
+        for pictures in (path / "views" / view).glob("*"):
             for file in pictures.iterdir() if pictures.is_dir() else ():
                 if _PICTURE.fullmatch(file.name) or file.match(TEMPORARY_PATTERN):
                     file.unlink()

@@ -95,13 +95,17 @@ def target_of(
     depth_range_m: tuple[float, float],
     device: torch.device,
     color_pixels: str = "all",
+    ignored: Mask | None = None,
 ) -> Target:
     """The full-resolution target of a keyframe; ``depth_range_m`` limits which stereo depth supervises, and
-    ``color_pixels`` is one of ``COLOR_PIXELS``."""
+    ``color_pixels`` is one of ``COLOR_PIXELS``. What is ``ignored`` (H, W) neither has a depth nor a colour."""
     image = torch.from_numpy(keyframe.frame.left).to(device).permute(2, 0, 1).float().div_(255.0).contiguous()
     depth, mask = keyframe.depth.depth, depth_in_range(keyframe, depth_range_m)
     ground = np.ones(depth.shape, bool) if keyframe.sky is None else ~keyframe.sky
     color_mask = {"all": None, "ground": ground, "supervised": mask}[color_pixels]
+    if ignored is not None:
+        mask = mask & ~ignored
+        color_mask = ~ignored if color_mask is None else color_mask & ~ignored
     return Target(
         image,
         torch.from_numpy(np.where(mask, depth, 0.0).astype(np.float32)).to(device),

@@ -14,7 +14,8 @@ from bench.street.lidar import lidar_depth, lidar_points
 from bench.street.scene import CHUNK_M, LANE_CENTER_M, build_circuit, build_street
 from bench.street.scene import Street as StreetScene
 from bench.street.shading import Scene, render
-from bench.street.surfaces import Surfaces
+from bench.street.surfaces import SurfaceList, Surfaces
+from bench.street.traffic import traffic_surfaces
 from bench.street.truck import rear_ahead_m, truck_surfaces
 from bench.types import Float, Map, Mask, StereoCamera, StereoFrame, Trajectory
 
@@ -55,6 +56,8 @@ class StreetConfig(PluginConfig):
     """A lorry overtakes and covers about half of the image."""
     truck_frames: tuple[int, int] = (20, 50)
     """First and last frame in which the lorry stays alongside."""
+    traffic: bool = False
+    """Two cars drive: one ahead of the camera in its lane, one towards it."""
     exposure_jumps: float = 0.0
     """An automatic exposure, the same in both cameras: every few frames the brightness is another one, times a factor
     of up to 1 plus or minus this share and plus or minus a tenth of it of the full range."""
@@ -102,6 +105,7 @@ class Street(Dataset):
             "circuit": config.circuit_m > 0,
             "repeated": config.repeated_facades,
             "truck": config.truck,
+            "traffic": config.traffic,
             "exposure": config.exposure_jumps > 0,
         }
         self.label = "-".join([f"street/{config.seed}", *(name for name, used in options.items() if used)])
@@ -166,12 +170,13 @@ class Street(Dataset):
         return position * self._config.speed_m
 
     def _surfaces(self, position: int) -> Surfaces:
-        """What a camera at this frame may see, the lorry included."""
-        s = self._arc_length(position)
+        """What a camera at this frame may see, the lorry and the traffic included."""
+        s, seed, path = self._arc_length(position), self._config.seed, self._street.path
+        moving = traffic_surfaces(path, position, seed) if self._config.traffic else SurfaceList()
         ahead = rear_ahead_m(position, self._config.truck_frames)
-        if not self._config.truck or not -_TRUCK_SEEN_M < ahead < _TRUCK_SEEN_M:
-            return self._street.seen_from(s)
-        return self._street.seen_from(s, truck_surfaces(self._street.path, s + ahead, self._config.seed))
+        if self._config.truck and -_TRUCK_SEEN_M < ahead < _TRUCK_SEEN_M:
+            moving.extend(truck_surfaces(path, s + ahead, seed))
+        return self._street.seen_from(s, moving)
 
     def _pose(self, position: int) -> Float:
         """T_street_cam: in its lane, along the street, with a little pitch, roll and heave as of a car."""

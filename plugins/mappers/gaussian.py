@@ -27,8 +27,9 @@ from bench.gaussians.schema import MAX_DEGREE, OPACITY_LOGIT
 from bench.gaussians.seeding import SeedingConfig, depth_to_seed_from, seed_gaussians
 from bench.registry import PluginConfig, plugin_field, register
 from bench.supervision.appearance import CAMERA_COLORS, Appearance
+from bench.supervision.moving import MovingThings
 from bench.supervision.target import COLOR_PIXELS, Target, right_target_of, target_of
-from bench.types import Event, Keyframe, Map, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
+from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
 
 # Steps of a new keyframe's pose before it adds Gaussians.
 _SETTLING_STEPS = 12
@@ -66,6 +67,9 @@ class GaussianMapperConfig(PluginConfig):
     """Stereo depth outside [near, far] neither seeds nor supervises."""
     color_pixels: str = "all"
     """What the terms on colour see: all pixels, ground = all but the sky, supervised = where depth supervises."""
+    moving: bool = False
+    """Neither learn from nor seed what moves: what several keyframes that look at the same place see in other colours.
+    The run folder gets the masks, ``views/left/moving``."""
     cached_targets: int = 12
     """How many keyframes keep their derived images in memory."""
     replayed_keyframes: int = 1000
@@ -148,6 +152,7 @@ class GaussianMapper(Mapper):
         self._targets: OrderedDict[tuple[int, bool], tuple[Target, Target]] = OrderedDict()
         self._appearance = Appearance(camera, c.camera_color, c.exposure)
         self._refinement = PoseRefinement(c.pose_refinement)
+        self._moving = MovingThings(camera) if c.moving else None
         self._final_done = 0
         self._happened: list[tuple[str, dict[str, Any]]] = []
 
@@ -165,6 +170,9 @@ class GaussianMapper(Mapper):
         self._appearance.camera_colors.learn(keyframe)
         self._refinement.add(number)
         self._let_go(window)
+        if self._moving is not None:
+            for changed in self._moving.add(keyframe):
+                self._targets.pop((changed, False), None)
         self._settle(number)
         self._seed(keyframe)
         coarse = round(self.config.iterations * self.config.coarse_share)
@@ -220,6 +228,8 @@ class GaussianMapper(Mapper):
 
     def restore(self, state: dict[str, Any], keyframes: Iterable[Keyframe]) -> None:
         for keyframe in keyframes:
+            if self._moving is not None:
+                self._moving.add(keyframe)
             pose = state["poses"].get(keyframe.frame.number)
             if pose is not None:
                 self._keyframes[keyframe.frame.number] = self._to_keep(replace(keyframe, T_world_cam=pose.numpy()))
@@ -243,6 +253,11 @@ class GaussianMapper(Mapper):
 
     def view(self) -> MapView:
         return GaussianMapView(self._map, self._rasterizer)
+
+    def pictures(self) -> Iterator[tuple[str, int, Mask]]:
+        if self._moving is not None:
+            for number in self._moving.numbers:
+                yield "moving", number, self._moving.mask(number)
 
     def save(self, path: Path) -> None:
         self._map.save(path)
@@ -288,7 +303,8 @@ class GaussianMapper(Mapper):
             if right:
                 full = right_target_of(self._keyframes[number], view, c.depth_range_m, device)
             else:
-                full = target_of(self._keyframes[number], view, c.depth_range_m, device, c.color_pixels)
+                ignored = None if self._moving is None else self._moving.mask(number)
+                full = target_of(self._keyframes[number], view, c.depth_range_m, device, c.color_pixels, ignored)
             pair = (full, full.halved())
         self._targets[number, right] = pair
         while len(self._targets) > self.config.cached_targets:
@@ -356,6 +372,8 @@ class GaussianMapper(Mapper):
             error = (shown[..., margin : margin + view.width] - target.image).abs().mean(0)
             error = torch.nn.functional.pad(error, (margin, margin))
             unexplained = ((rendered.alpha < c.seeding.max_alpha) | (error > c.seeding.min_error)).cpu().numpy()
+        if self._moving is not None:
+            unexplained[:, margin : margin + view.width] &= ~self._moving.mask(number)
         depth = depth_to_seed_from(keyframe, c.depth_range_m, c.seeding)
         image = self._appearance.in_map(number, keyframe.frame.left)
         planes, depths = seed_gaussians(image, depth, keyframe.sky, unexplained, view, c.seeding)

@@ -280,3 +280,13 @@ def test_exposure_jumps_in_both_cameras_alike_and_stays_for_some_frames() -> Non
     assert 3 <= len(set(found)) <= 8
     longer = Street(StreetConfig(frames=30, exposure_jumps=0.3, **size))
     np.testing.assert_array_equal(longer.frame(11).left, jumping.frame(11).left)
+
+
+@pytest.mark.parametrize(("position", "nearest", "furthest"), [(0, 6.5, 7.1), (10, 8.0, 10.0)])
+def test_traffic_drives(position: int, nearest: float, furthest: float) -> None:
+    """The rear of the car ahead is half a car nearer than 9 m at first, and 3 m more, along the bend, later."""
+    settings: dict[str, Any] = {"frames": 11, "width": 96, "height": 32}
+    empty, busy = (Street(StreetConfig(**settings, traffic=on)).true_depth(position) for on in (False, True))
+    cars = busy < np.nan_to_num(empty, nan=np.inf) - 0.1
+    assert 0.02 < cars.mean() < 0.3
+    assert nearest < busy[cars].min() < furthest

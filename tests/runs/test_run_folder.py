@@ -61,7 +61,10 @@ def test_an_unfinished_run_starts_anew(tmp_path: Path) -> None:
     folder.set_status("interrupted", "Ctrl-C", 3, 10)
     picture = np.zeros((4, 4, 3), np.float32)
     folder.write_view("left", 12, RenderedView(picture, picture[..., 0], picture[..., 0]), picture[..., 0])
+    folder.write_mask("moving", 12, np.eye(4, dtype=bool))
     assert (folder.path / "views/left/color/000012.png").is_file()
+    written = cv2.imread(str(folder.path / "views/left/moving/000012.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(written, 255 * np.eye(4))
     again = RunFolder.create(tmp_path / "run", CONFIG, "abc", rerun=False)
     assert not again.already_done
     assert not any(file.is_file() for file in (again.path / "views").rglob("*"))
