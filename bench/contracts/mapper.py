@@ -18,7 +18,8 @@ class CannotRenderError(BenchError):
 
 
 class Mapper(ABC):
-    """Builds the map from keyframes. It never sees a held-out frame or, unless it says so, a right image."""
+    """Builds the map from keyframes. It never sees a held-out frame or, unless it ``uses_right_images``, a
+    right image."""
 
     wants_keyframes: bool = True
     """False for a mapper that builds nothing: then stereo and sky are not computed, and nothing is rendered."""

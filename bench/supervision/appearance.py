@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import torch
 
-from bench.supervision.target import Target
+from bench.supervision.target import SATURATED, Target
 from bench.types import Float, Image, Keyframe, StereoCamera
 
 if TYPE_CHECKING:
@@ -30,8 +30,6 @@ _EVERY, _BLUR = 8, 9
 """Fits take pixels of every eighth row and column, after a box filter of this width: edges are a little off."""
 _EXPOSURE_RATE = 0.3
 _LEAST_ALPHA = 0.9
-_SATURATED = 250 / 255
-"""From here on a pixel says only that there was at least so much light."""
 
 
 def fit_colors(before: Float, after: Float, kind: str, start: Float = IDENTITY) -> Float:
@@ -40,7 +38,7 @@ def fit_colors(before: Float, after: Float, kind: str, start: Float = IDENTITY) 
     ``kind``: gain_bias (a gain and a bias per channel) or affine (3x3 and bias). Robust by reweighting (Cauchy's
     weights, from ``start`` on): occlusions and moving things fall out, and so does what is saturated.
     """
-    good = (before.max(1) < _SATURATED) & (after.max(1) < _SATURATED)
+    good = (before.max(1) < SATURATED) & (after.max(1) < SATURATED)
     before, after = before[good], after[good]
     if not len(before):
         return start
@@ -130,8 +128,10 @@ class Exposures(ColorsOfFrames):
         if not self._known:
             self._known[number] = IDENTITY
         elif number != next(iter(self._known)):
-            images = torch.cat([color, target.image, alpha[None]])
-            pooled = torch.nn.functional.avg_pool2d(images[None], _BLUR, _EVERY)[0].flatten(1).double().cpu().numpy()
+            # Every second pixel will do for the box filter.
+            images = torch.cat([each[:, ::2, ::2] for each in (color, target.image, alpha[None])])
+            blocks = torch.nn.functional.avg_pool2d(images[None], _BLUR // 2, _EVERY // 2)[0]
+            pooled = blocks.flatten(1).double().cpu().numpy()
             pixels = pooled[:6, pooled[6] > _LEAST_ALPHA].T
             before = self.of(number)
             best = fit_colors(pixels[:, :3], pixels[:, 3:], "gain_bias", before)
@@ -153,25 +153,23 @@ class Appearance:
         camera = self.camera_colors.of(number)
         return np.column_stack([camera[:, :3] @ exposure[:, :3], camera[:, :3] @ exposure[:, 3] + camera[:, 3]])
 
-    def shown(self, color: Tensor, number: int, right: bool, image: Tensor | None = None) -> Tensor:
+    def shown(self, color: Tensor, number: int, right: bool, limit: Tensor | None = None) -> Tensor:
         """Rendered colours (3, H, W) as a frame's camera shows them; the same object where nothing is learned.
 
-        With the ``image`` (3, H, W) that it is compared with, what is brighter than a saturated pixel is as bright.
+        With the ``limit`` of the target that they are compared with, none is brighter than a saturated pixel.
         """
         if not self._on:
             return color
         transform = torch.from_numpy(self.colors(number, right)).to(color)
-        color = _mixed(color, transform[:, :3]) + transform[:, 3, None, None]
-        if image is not None:
-            color = torch.where((image >= _SATURATED) & (color > image), image, color)
-        return color
+        color = _mixed(color, transform[:, :3]).add_(transform[:, 3, None, None])
+        return color if limit is None else torch.minimum(color, limit)
 
-    def back(self, grad: Tensor | None, shown: Tensor, number: int, right: bool, image: Tensor) -> Tensor | None:
-        """Gradient (3, H, W) by the map's colours from that by the colours ``shown`` and compared with ``image``."""
+    def back(self, grad: Tensor | None, shown: Tensor, number: int, right: bool, limit: Tensor) -> Tensor | None:
+        """Gradient (3, H, W) by the map's colours from that by the colours ``shown`` with this ``limit``."""
         if grad is None or not self._on:
             return grad
         transform = torch.from_numpy(self.colors(number, right)).to(grad)
-        return _mixed(torch.where(shown == image, 0.0, grad), transform[:, :3].T).contiguous()
+        return _mixed(grad.masked_fill(shown == limit, 0.0), transform[:, :3].T).contiguous()
 
     def in_map(self, number: int, image: Image) -> Image:
         """A frame's left image in the map's colours, for new Gaussians."""

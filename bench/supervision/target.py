@@ -16,6 +16,9 @@ from bench.types import Keyframe, Mask, PinholeView
 if TYPE_CHECKING:
     from torch import Tensor
 
+SATURATED = 250 / 255
+"""From here on a channel of a pixel is saturated."""
+
 
 @dataclass(frozen=True, eq=False)
 class Target:
@@ -33,6 +36,12 @@ class Target:
     view: PinholeView
     confidence: Tensor | None = None
     color_mask: Tensor | None = None
+
+    @cached_property
+    def limit(self) -> Tensor:
+        """(3, H, W) The image where it is saturated, which says only that there was at least so much light, else
+        infinity."""
+        return torch.where(self.image >= SATURATED, self.image, torch.inf)
 
     @cached_property
     def edge_weight(self) -> Tensor:

@@ -333,14 +333,14 @@ class GaussianMapper(Mapper):
         rendered = self._rasterizer.render(self._map.planes, view.halved() if half else view)
         if not right:
             self._appearance.exposures.learn(number, rendered.color, rendered.alpha, target)
-        shown = self._appearance.shown(rendered.color, number, right, target.image)
+        shown = self._appearance.shown(rendered.color, number, right, target.limit)
         try:
             values, (by_color, by_depth, by_alpha) = self._losses.evaluate(replace(rendered, color=shown), target)
         except NotFiniteError as error:
             size = "at half resolution" if half else "at full resolution"
             raise BenchError(f"{step} (view of frame {number}, {size}): {error}") from error
         refine = self._refinement.on and not right
-        by_color = self._appearance.back(by_color, shown, number, right, target.image)
+        by_color = self._appearance.back(by_color, shown, number, right, target.limit)
         by_parameters = self._rasterizer.backward(rendered, by_color, by_depth, by_alpha, pose=refine)
         if map_learns:
             self._optimizer.step(self._map, by_parameters)

@@ -113,18 +113,19 @@ def test_gradients_go_back_to_the_maps_colours_but_not_from_saturated_pixels() -
     torch.testing.assert_close(appearance.shown(color, 0, True), target.image, atol=1e-6, rtol=0)
     image = 0.5 * target.image
     image[:, :20, :] = 1.0
+    limit = replace(target, image=image).limit
     color[:, :10] += 1.0
     leaf = color.requires_grad_()
-    shown = appearance.shown(leaf, 0, True, image)
+    shown = appearance.shown(leaf, 0, True, limit)
     assert bool((shown[:, :10] == 1.0).all())
     ((shown - image) ** 2).sum().backward()
     by_shown = 2 * (shown - image).detach()
-    torch.testing.assert_close(appearance.back(by_shown, shown, 0, True, image), leaf.grad)
-    bright = appearance.back(torch.ones_like(image), shown, 0, True, image)
+    torch.testing.assert_close(appearance.back(by_shown, shown, 0, True, limit), leaf.grad)
+    bright = appearance.back(torch.ones_like(image), shown, 0, True, limit)
     assert bright is not None
     assert not bright[:, :10].any()
     assert bool(bright[:, 20:].all())
-    assert appearance.back(None, shown, 0, True, image) is None
+    assert appearance.back(None, shown, 0, True, limit) is None
     off = Appearance(camera, "none", exposure=False)
     assert off.shown(color, 0, True) is color
-    assert off.back(by_shown, color, 0, True, image) is by_shown
+    assert off.back(by_shown, color, 0, True, limit) is by_shown
