@@ -161,15 +161,22 @@ class Appearance:
         if not self._on:
             return color
         transform = torch.from_numpy(self.colors(number, right)).to(color)
-        color = _mixed(color, transform[:, :3]).add_(transform[:, 3, None, None])
-        return color if limit is None else torch.minimum(color, limit)
+        gain, bias = transform.diagonal()[:, None, None], transform[:, 3, None, None]
+        if _mixes_channels(transform):
+            shown = (transform[:, :3, None, None] * color[None]).sum(1).add_(bias)
+        else:
+            shown = torch.addcmul(bias, color, gain)
+        return shown if limit is None else shown.clamp_(max=limit)
 
     def back(self, grad: Tensor | None, shown: Tensor, number: int, right: bool, limit: Tensor) -> Tensor | None:
-        """Gradient (3, H, W) by the map's colours from that by the colours ``shown`` with this ``limit``."""
+        """Gradient (3, H, W) by the map's colours from that by the colours ``shown`` with this ``limit``, in place."""
         if grad is None or not self._on:
             return grad
         transform = torch.from_numpy(self.colors(number, right)).to(grad)
-        return _mixed(grad.masked_fill(shown == limit, 0.0), transform[:, :3].T).contiguous()
+        grad.masked_fill_(shown == limit, 0.0)
+        if _mixes_channels(transform):
+            return (transform[:, :3].T[:, :, None, None] * grad[None]).sum(1)
+        return grad.mul_(transform.diagonal()[:, None, None])
 
     def in_map(self, number: int, image: Image) -> Image:
         """A frame's left image in the map's colours, for new Gaussians."""
@@ -189,8 +196,5 @@ class Appearance:
         self.exposures.restore(state["exposures"])
 
 
-def _mixed(color: Tensor, matrix: Tensor) -> Tensor:
-    """The matrix (3, 3) times each pixel of (3, H, W)."""
-    if torch.equal(matrix, torch.diag(matrix.diagonal())):
-        return matrix.diagonal()[:, None, None] * color
-    return (matrix[:, :, None, None] * color[None]).sum(1)
+def _mixes_channels(transform: Tensor) -> bool:
+    return not torch.equal(transform[:, :3], torch.diag(transform.diagonal()))
