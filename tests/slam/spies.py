@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.contracts.loss import LossTerm
-from bench.registry import PluginConfig, register
+from bench.registry import register
 from bench.types import Event, Keyframe, MappingReport, StereoCamera, StereoFrame, TrackingResult, Trajectory
 from plugins.mappers.gaussian import GaussianMapper, GaussianMapperConfig
-from plugins.trackers.groundtruth import GroundTruth
+from plugins.trackers.groundtruth import GroundTruth, GroundTruthConfig
 
 
 @register("mapper", "spy_for_tests", config=GaussianMapperConfig)
@@ -41,7 +41,7 @@ class SpyMapper(GaussianMapper):
 
 
 @dataclass(frozen=True)
-class OddTrackerConfig(PluginConfig):
+class OddTrackerConfig(GroundTruthConfig):
     """``answer``: what it says in frame 1; ``lost_from`` it is lost; ``trajectory_fails``: it can't give its trajectory
     either."""
 
