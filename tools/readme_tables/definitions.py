@@ -235,6 +235,7 @@ BLOCKS = {
     "circuits": Block((f"circuits{SUFFIX}",), _circuits),
     "stereo": Block(("stereo_kitti06.csv",), _stereo),
     "ablation": Block((f"ablation{SUFFIX}",), _of_table("ablation")),
+    "readings": Block((f"readings{SUFFIX}",), _of_table("readings")),
     "backbones": Block((f"backbones{SUFFIX}",), _of_table("backbones")),
     "dialects": Block((f"dialects{SUFFIX}",), _of_table("dialects")),
 }
