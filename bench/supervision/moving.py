@@ -20,8 +20,9 @@ _NEARER_PX = 1.0
 _COLOR_STEP = 0.12
 # So many keyframes must contradict, and more than agree.
 _LEAST_VOTES = 2
-# Sides of what is too small to count, of gaps that are closed, and of the rim added; and the smallest part, in pixels.
-_OPEN, _CLOSE, _RIM, _LEAST_AREA = 5, 9, 5, 80
+# Sides of what is too small to count, of gaps that are closed, and of the rim added, and of a square as large as the
+# smallest part, as shares of the width.
+_OPEN, _CLOSE, _RIM, _LEAST = 0.0114, 0.0147, 0.0082, 0.023
 
 
 @dataclass(eq=False)
@@ -116,13 +117,15 @@ class MovingThings:
 
 def _clean(raw: Mask) -> Mask:
     """Without specks, with gaps closed and a rim."""
+    width = raw.shape[1]
 
-    def side(n: int) -> npt.NDArray[np.uint8]:
-        return np.ones((n, n), np.uint8)
+    def square(share: float) -> npt.NDArray[np.uint8]:
+        side = max(round(share * width), 5)  # depth edges are off by pixels, however small the image is
+        return np.ones((side, side), np.uint8)
 
-    mask = cv2.morphologyEx(raw.astype(np.uint8), cv2.MORPH_OPEN, side(_OPEN))
-    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, side(_CLOSE))
+    mask = cv2.morphologyEx(raw.astype(np.uint8), cv2.MORPH_OPEN, square(_OPEN))
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, square(_CLOSE))
     _, parts, statistics, _ = cv2.connectedComponentsWithStats(mask)
-    large = statistics[:, cv2.CC_STAT_AREA] >= _LEAST_AREA
+    large = statistics[:, cv2.CC_STAT_AREA] >= max(_LEAST * width, 9) ** 2
     large[0] = False
-    return cv2.dilate(large[parts].astype(np.uint8), side(_RIM)) > 0
+    return cv2.dilate(large[parts].astype(np.uint8), square(_RIM)) > 0
