@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from bench.errors import BenchError
-from bench.registry import PluginConfig
 from plugins.datasets.folder import Folder, FolderConfig
-from plugins.trackers.groundtruth import GroundTruth
+from plugins.trackers.groundtruth import GroundTruth, GroundTruthConfig
 from tests.datasets.kitti_disk import write_image
 
 
@@ -147,7 +146,7 @@ def test_a_frame_whose_pose_is_nan_has_no_ground_truth(tmp_path: Path) -> None:
     assert truth is not None
     assert truth.numbers.tolist() == [0, 2]
     assert folder.remarks == ("1 of 3 frames have no ground truth: frame 1",)
-    tracker = GroundTruth(PluginConfig(name="groundtruth"))
+    tracker = GroundTruth(GroundTruthConfig(name="groundtruth"))
     tracker.start(folder)
     assert [tracker.track(folder.frame(i)).state for i in range(3)] == ["ok", "lost", "ok"]
 
