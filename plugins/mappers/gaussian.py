@@ -86,7 +86,8 @@ class GaussianMapperConfig(PluginConfig):
     camera_color: str = "none"
     """How the right camera's colours differ from the left one's in each keyframe, by pixels that stereo depth matches:
     none (not at all), gain_bias (per channel) or affine (3x3 and bias). Right images are learned from, and right views
-    rendered, in the right camera's colours; those of frames in between lie between their neighbours'."""
+    rendered, in the right camera's colours; those of frames in between lie between their neighbours'. To be
+    used with ``exposure``: without, the map has the mean colours of all keyframes, and a pair tells of its own."""
     exposure: bool = False
     """Learn a gain and a bias per channel of each keyframe, relative to the first; for automatic exposure. Frames in
     between are rendered with what lies between those of their neighbours."""
