@@ -71,12 +71,17 @@ class GaussianMap:
     def add(self, number: int, T_world_cam: Float, planes: Tensor, depths: Tensor) -> None:
         """New Gaussians of keyframe ``number`` at this pose (4, 4), seen at ``depths`` (M,) metres.
 
-        ``planes`` (P', M) may have a lower degree than the map; the missing harmonics are zero.
+        ``planes`` (P', M) may have a lower degree than the map; the missing harmonics are zero. A keyframe that is
+        known keeps the pose that its Gaussians stand for.
         """
-        anchor = torch.full((len(depths),), len(self._numbers), dtype=torch.int32, device=self.device)
-        self._numbers = np.append(self._numbers, number)
-        self._T_world_cam = np.concatenate([self._T_world_cam, T_world_cam[None]])
-        self._append(planes, depths, anchor)
+        again = np.flatnonzero(self._numbers == number)
+        if not len(again):
+            self._numbers = np.append(self._numbers, number)
+            self._T_world_cam = np.concatenate([self._T_world_cam, T_world_cam[None]])
+        row = int(again[0]) if len(again) else len(self._numbers) - 1
+        self._append(planes, depths, torch.full((len(depths),), row, dtype=torch.int32, device=self.device))
+        if len(again):
+            self.keep(torch.argsort(self.anchor, stable=True))
 
     def keep(self, which: Tensor) -> None:
         """Drop all Gaussians but those of the (N,) bool mask, or of the indices (M,)."""

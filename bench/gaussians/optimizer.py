@@ -11,7 +11,7 @@ from bench.contracts.rasterizer import Gradients
 from bench.gaussians.map import GaussianMap
 from bench.gaussians.schema import COLOR, LOG_SCALE, MEAN, OPACITY_LOGIT, QUATERNION, planes_of
 
-BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
+BETA1, EPSILON = 0.9, 1e-15
 HARMONICS_SHARE = 1 / 20
 """Rate of the harmonics of degree 1 and more, as a share of the colour's (Kerbl et al., 2023)."""
 
@@ -38,10 +38,11 @@ class LearningRates:
 
 
 class MapOptimizer:
-    """Adam (Kingma and Ba, 2015) on the map's columns; ``steps`` counts the updates."""
+    """Adam (Kingma and Ba, 2015) on the map's columns; ``steps`` counts the updates, ``beta2`` is the decay of the
+    second moments."""
 
-    def __init__(self, rates: LearningRates) -> None:
-        self._rates = rates
+    def __init__(self, rates: LearningRates, beta2: float = 0.999) -> None:
+        self._rates, self._beta2 = rates, beta2
         self.steps = 0
 
     def step(self, gaussians: GaussianMap, gradients: Gradients) -> None:
@@ -58,7 +59,7 @@ class MapOptimizer:
                 gaussians.birth_depth,
                 rates,
                 BETA1,
-                BETA2,
+                self._beta2,
                 EPSILON,
                 self.steps,
                 gradients.touched,
@@ -69,10 +70,10 @@ class MapOptimizer:
     def _step_in_torch(self, gaussians: GaussianMap, gradients: Gradients, rates: list[float]) -> None:
         touched = gradients.touched[None]
         first = torch.lerp(gradients.planes, gaussians.first_moment, BETA1)
-        second = torch.lerp(gradients.planes**2, gaussians.second_moment, BETA2)
+        second = torch.lerp(gradients.planes**2, gaussians.second_moment, self._beta2)
         rate = torch.tensor(rates, device=gaussians.device)[:, None].repeat(1, len(gaussians))
         rate[MEAN] *= gaussians.birth_depth
-        corrected = second / (1 - BETA2**self.steps)
+        corrected = second / (1 - self._beta2**self.steps)
         update = rate * first / (1 - BETA1**self.steps) / (corrected.sqrt() + EPSILON)
         gaussians.planes.sub_(torch.where(touched, update, 0.0))
         gaussians.first_moment.copy_(torch.where(touched, first, gaussians.first_moment))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,117 +17,23 @@ from bench.contracts.loss import LossTerm, NotFiniteError
 from bench.contracts.map_view import MapView
 from bench.contracts.mapper import Mapper
 from bench.contracts.rasterizer import Rasterizer
-from bench.errors import BenchError, require_between, require_choice, require_least
+from bench.errors import BenchError
 from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.map import GaussianMap
 from bench.gaussians.map_view import GaussianMapView, as_arrays
+from bench.gaussians.mapping_config import GaussianMapperConfig
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
 from bench.gaussians.pose_refinement import PoseRefinement
-from bench.gaussians.schema import MAX_DEGREE, OPACITY_LOGIT
-from bench.gaussians.seeding import SeedingConfig, depth_to_seed_from, seed_gaussians
-from bench.registry import PluginConfig, plugin_field, register
-from bench.supervision.appearance import CAMERA_COLORS, Appearance
+from bench.gaussians.schema import OPACITY_LOGIT
+from bench.gaussians.seeding import depth_to_seed_from, seed_gaussians
+from bench.registry import register
+from bench.supervision.appearance import Appearance
 from bench.supervision.moving import MovingThings
-from bench.supervision.target import COLOR_PIXELS, Target, right_target_of, target_of
+from bench.supervision.target import Target, right_target_of, target_of
 from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
 
 # Steps of a new keyframe's pose before it adds Gaussians.
 _SETTLING_STEPS = 12
-
-
-@dataclass(frozen=True)
-class GaussianMapperConfig(PluginConfig):
-    """Settings of mapping; the defaults are those of ``system=bgs_slam``."""
-
-    sh_degree: int = 0
-    """Degree of the spherical harmonics of the colours, 0 (one colour from all sides) to 3."""
-    iterations: int = 24
-    """Rendered views when a keyframe arrives."""
-    final_iterations: int = 12
-    """Rendered views per keyframe at the end, drawn from all keyframes alike."""
-    coarse_share: float = 0.6
-    """The first part of a keyframe's iterations, which runs at half resolution."""
-    newest_share: float = 0.3
-    """Probability that a view is the newest keyframe."""
-    window_share: float = 0.5
-    """Probability that a view is another keyframe of the window; else it is an older one."""
-    position_rate: float = 2e-4
-    """Adam's rate of positions, in metres per metre of depth at birth."""
-    color_rate: float = 1e-2
-    """Adam's rate of colours; a twentieth of it for the harmonics of degree 1 and more."""
-    opacity_rate: float = 5e-2
-    """Adam's rate of opacity logits."""
-    scale_rate: float = 1e-2
-    """Adam's rate of log scales."""
-    rotation_rate: float = 1e-3
-    """Adam's rate of quaternions."""
-    prune_opacity: float = 5e-3
-    """Gaussians below this opacity are removed (paper, "Implementation Details")."""
-    depth_range_m: tuple[float, float] = (0.5, 80.0)
-    """Stereo depth outside [near, far] neither seeds nor supervises."""
-    color_pixels: str = "all"
-    """What the terms on colour see: all pixels, ground = all but the sky, supervised = where depth supervises."""
-    moving: bool = False
-    """Neither learn from nor seed what moves: what several keyframes that look at the same place see in other colours.
-    The run folder gets the masks, ``views/left/moving``."""
-    cached_targets: int = 12
-    """How many keyframes keep their derived images in memory."""
-    replayed_keyframes: int = 1000
-    """How many keyframes keep their image and depth to be learned from again (3.7 MB each at KITTI's size); of more,
-    those with the closest neighbours are let go."""
-    follow_corrections_m: float = field(default=0.01, metadata={"infinite": True})
-    """Gaussians move with their keyframe once its pose has been corrected by more metres (0: always, inf: never);
-    following every small correction of local bundle adjustment changes quality by less than 0.1 dB either way."""
-    follow_corrections_deg: float = field(default=0.05, metadata={"infinite": True})
-    """The same in degrees; one of the two is enough."""
-    right_images: float = 0.0
-    """Share of the views that are right images of keyframes, with the colour terms alone; 0: mapping never sees one.
-    With more, or with ``camera_color``, the right camera is scored at held-out frames only."""
-    camera_color: str = "none"
-    """How the right camera's colours differ from the left one's in each keyframe, by pixels that stereo depth matches:
-    none (not at all), gain_bias (per channel) or affine (3x3 and bias). Right images are learned from, and right views
-    rendered, in the right camera's colours; those of frames in between lie between their neighbours'. To be
-    used with ``exposure``: without, the map has the mean colours of all keyframes, and a pair tells of its own."""
-    exposure: bool = False
-    """Learn a gain and a bias per channel of each keyframe, relative to the first; for automatic exposure. Frames in
-    between are rendered with what lies between those of their neighbours."""
-    pose_refinement: float = 0.0
-    """Rate at which keyframes' poses are optimised with the map, in metres a step (radians: a tenth); 0: the tracker's
-    stay. For handheld data, for example 1e-3. The corrections are the mapper's own: frames in between are rendered with
-    what lies between those of their neighbours, and the trajectory that is scored stays the tracker's."""
-    seeding: SeedingConfig = field(default_factory=SeedingConfig)
-    """Where new Gaussians start."""
-    rasterizer: PluginConfig = plugin_field("rasterizer", "cpu")
-    """What renders the Gaussians: `mapper.rasterizer=NAME`, one of `bgs-bench list rasterizer`."""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.sh_degree <= MAX_DEGREE:
-            raise BenchError(f"mapper.sh_degree={self.sh_degree} must be 0 to {MAX_DEGREE}.")
-        if self.iterations < 1 or self.final_iterations < 0:
-            raise BenchError("mapper.iterations must be at least 1 and mapper.final_iterations at least 0.")
-        require_choice("mapper.color_pixels", self.color_pixels, COLOR_PIXELS)
-        if self.color_pixels != "all" and self.right_images > 0:
-            raise BenchError(
-                f"mapper.color_pixels={self.color_pixels} is known of left images only. Give mapper.right_images=0."
-            )
-        require_between("mapper", self, 0, 1, "coarse_share", "prune_opacity", "right_images")
-        require_choice("mapper.camera_color", self.camera_color, CAMERA_COLORS)
-        rates = ("position_rate", "color_rate", "opacity_rate", "scale_rate", "rotation_rate", "pose_refinement")
-        require_least("mapper", self, cached_targets=1, **dict.fromkeys(rates, 0))
-        if min(self.newest_share, self.window_share) < 0 or self.newest_share + self.window_share > 1:
-            raise BenchError(
-                "mapper.newest_share + mapper.window_share must lie between 0 and 1; the rest is older views."
-            )
-        if not 0 < self.depth_range_m[0] < self.depth_range_m[1]:
-            raise BenchError(
-                f"mapper.depth_range_m={list(self.depth_range_m)} must be [near, far] with 0 < near < far."
-            )
-        if self.replayed_keyframes < 1:
-            raise BenchError(f"mapper.replayed_keyframes={self.replayed_keyframes} must be at least 1.")
-        if not min(self.follow_corrections_m, self.follow_corrections_deg) >= 0:
-            raise BenchError(
-                "mapper.follow_corrections_m and mapper.follow_corrections_deg must be 0 (always) or more (inf: never)."
-            )
 
 
 @register("mapper", "gaussian", config=GaussianMapperConfig)
@@ -146,7 +52,7 @@ class GaussianMapper(Mapper):
         self._camera, self._losses = camera, LossStack(losses)
         self._random = np.random.default_rng(seed)
         rates = LearningRates(c.position_rate, c.color_rate, c.opacity_rate, c.scale_rate, c.rotation_rate)
-        self._optimizer = MapOptimizer(rates)
+        self._optimizer = MapOptimizer(rates, c.second_moment_decay)
         self._map = GaussianMap(c.sh_degree, self._rasterizer.device)
         self._keyframes: dict[int, Keyframe] = {}
         self._views: dict[tuple[int, bool], PinholeView] = {}
@@ -155,6 +61,7 @@ class GaussianMapper(Mapper):
         self._refinement = PoseRefinement(c.pose_refinement)
         self._moving = MovingThings(camera) if c.moving else None
         self._final_done = 0
+        self._round: list[int] = []  # whose turn it still is in this round of the last optimisation
         self._happened: list[tuple[str, dict[str, Any]]] = []
 
     @property
@@ -205,10 +112,17 @@ class GaussianMapper(Mapper):
         if not self._keyframes:
             return
         numbers = list(self._keyframes)
-        last = self.config.final_iterations * len(numbers)
+        coarse = self.config.final_coarse_iterations * len(numbers)
+        last = coarse + self.config.final_iterations * len(numbers)
         while self._final_done < last:
+            if self._final_done == coarse and self.config.refine_stride:
+                self._prune()
+                for number in numbers:
+                    self._seed(self._keyframes[number], refine=True)
+            if not self._round:
+                self._round = self._random.permutation(numbers).tolist()
             step = f"last optimisation, iteration {self._final_done + 1} of {last}"
-            self._iterate(int(self._random.choice(numbers)), False, step)
+            self._iterate(self._round.pop(), self._final_done < coarse, step)
             self._final_done += 1
             yield self._events(numbers[-1])
         self._require_finite("after the last optimisation")
@@ -221,6 +135,7 @@ class GaussianMapper(Mapper):
             "optimizer_steps": self._optimizer.steps,
             "poses": {number: torch.from_numpy(known.T_world_cam) for number, known in self._keyframes.items()},
             "final_done": self._final_done,
+            "round": list(self._round),
             "appearance": self._appearance.state(),
             "refinement": self._refinement.state(),
             # Numbers of 128 bits, which a restricted unpickler need not know.
@@ -238,7 +153,7 @@ class GaussianMapper(Mapper):
         self._refinement.restore(state["refinement"])
         self._map.restore(state["map"])
         self._optimizer.steps = state["optimizer_steps"]
-        self._final_done = state["final_done"]
+        self._final_done, self._round = state["final_done"], list(state["round"])
         self._random.bit_generator.state = json.loads(state["random"])
 
     def render(self, view: PinholeView, depth: Map | None = None) -> RenderedView:
@@ -361,23 +276,24 @@ class GaussianMapper(Mapper):
         for _ in range(_SETTLING_STEPS if self.gaussians and self._refinement.on else 0):
             self._iterate(number, True, f"settling of keyframe {number}", map_learns=False)
 
-    def _seed(self, keyframe: Keyframe) -> None:
+    def _seed(self, keyframe: Keyframe, refine: bool = False) -> None:
         """Add Gaussians where the map does not explain the keyframe yet (METHOD, "seeding")."""
         c, number = self.config, keyframe.frame.number
+        seeding = replace(c.seeding, stride=c.refine_stride, min_error=c.refine_error) if refine else c.seeding
         view, target = self._view(number), self._target(number, half=False)
-        margin = c.seeding.margin_columns(view.width)
+        margin = seeding.margin_columns(view.width)
         unexplained = np.ones((view.height, view.width + 2 * margin), bool)
         if self.gaussians:
             rendered = self._rasterizer.render(self._map.planes, view.widened(margin), differentiable=False)
             shown = self._appearance.shown(rendered.color, number, right=False)
             error = (shown[..., margin : margin + view.width] - target.image).abs().mean(0)
             error = torch.nn.functional.pad(error, (margin, margin))
-            unexplained = ((rendered.alpha < c.seeding.max_alpha) | (error > c.seeding.min_error)).cpu().numpy()
+            unexplained = ((rendered.alpha < seeding.max_alpha) | (error > seeding.min_error)).cpu().numpy()
         if self._moving is not None:
             unexplained[:, margin : margin + view.width] &= ~self._moving.mask(number)
-        depth = depth_to_seed_from(keyframe, c.depth_range_m, c.seeding)
+        depth = depth_to_seed_from(keyframe, c.depth_range_m, seeding)
         image = self._appearance.in_map(number, keyframe.frame.left)
-        planes, depths = seed_gaussians(image, depth, keyframe.sky, unexplained, view, c.seeding)
+        planes, depths = seed_gaussians(image, depth, keyframe.sky, unexplained, view, seeding)
         self._map.add(number, self._keyframes[number].T_world_cam, planes, depths)
 
     def _require_finite(self, when: str) -> None:

@@ -36,7 +36,7 @@ def test_terms_and_nested_settings_have_their_whole_name(capsys: pytest.CaptureF
     assert "loss.smooth.distances=[1]  (tuple[int, ...])" in capsys.readouterr().out
     assert main(["list", "tracker", "stereo_orb"]) == 0
     assert "tracker.loops.min_way_m=30.0  (float)" in capsys.readouterr().out
-    assert main(["list", "tracker", "groundtruth"]) == 0
+    assert main(["list", "sky", "none"]) == 0
     assert capsys.readouterr().out.endswith("no settings\n")
 
 
@@ -47,7 +47,7 @@ def test_settings_of_a_run(capsys: pytest.CaptureFixture[str]) -> None:
     for line in (
         "system=bgs_slam  (str)",
         "tracker=stereo_orb",
-        "loss=[rgb,ssim,geo]",
+        "loss=[rgb,mse,ssim,geo]",
         "limits.memory_gb=null  (float | None)",
     ):
         assert line in lines

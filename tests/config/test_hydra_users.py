@@ -112,7 +112,7 @@ def test_configs_are_printed_and_nothing_is_run(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["run", "--cfg", "job", "--resolve", "--package", "mapper.seeding"]) == 0
-    assert capsys.readouterr().out.startswith("# @package mapper.seeding\nstride: 2\n")
+    assert capsys.readouterr().out.startswith("# @package mapper.seeding\nstride: 4\n")
     assert main(["run", "-m", "--print-config", "-p", "seed", "seed=0,1"]) == 0
     assert capsys.readouterr().out.count("# @package seed\n") == 2
     assert main(["run", "-m", "--dry-run", "seed=0,1"]) == 0
@@ -123,13 +123,13 @@ def test_configs_are_printed_and_nothing_is_run(
 
 
 def test_a_term_is_left_out_by_null_and_by_a_tilde() -> None:
-    hashes = {compose_run([way]).hash for way in ("loss=[rgb,ssim]", "~loss.geo", "loss.geo=null")}
+    hashes = {compose_run([way]).hash for way in ("loss=[rgb,mse,ssim]", "~loss.geo", "loss.geo=null")}
     assert len(hashes) == 1
 
 
 def test_globs_are_choices_and_intervals_are_for_searches() -> None:
     expanded, skipped = expand_globs(["mapper=glob([gauss*],exclude=[*paper,*letter])", "seed=1"])
-    assert (expanded, skipped) == (["mapper=gaussian,gaussian_fast", "seed=1"], [])
+    assert (expanded, skipped) == (["mapper=gaussian,gaussian_best,gaussian_fast", "seed=1"], [])
     expanded, skipped = expand_globs(["tracker=glob(*)"])
     told = expanded[0].removeprefix("tracker=").split(",") + [
         each.cell.row.removeprefix("tracker=") for each in skipped

@@ -68,13 +68,13 @@ def saved(mapper: GaussianMapper, path: Path) -> bytes:
 
 
 def test_optimisation_beats_the_seeding() -> None:
-    """A first frame's seeds alone (one iteration) show about 16 dB; forty iterations bring at least 5 dB more."""
+    """A first frame's seeds alone (one iteration) show about 9 dB, pale as they are; forty bring 5 dB more."""
     keyframe = street()[1][0]
     mappers = [started(iterations=iterations) for iterations in (1, 40)]
     for mapper in mappers:
         mapper.add_keyframe(keyframe, [0])
     seeds, learned = (psnr_by_hand(mapper, keyframe) for mapper in mappers)
-    assert 10.0 < seeds < learned - 5.0
+    assert 7.0 < seeds < learned - 5.0
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_new_seeds_only_where_the_map_does_not_explain_the_image() -> None:
     """The same frame a second time adds few; with a threshold that nothing meets, none."""
     keyframe = street()[1][0]
     twice = Keyframe(keyframe.frame, keyframe.depth, keyframe.sky, keyframe.T_world_cam)
-    for settings, most in ((SeedingConfig(), 0.2), (SeedingConfig(max_alpha=0.0, min_error=9.0), 0.0)):
+    for settings, most in ((SeedingConfig(margin=0.0), 0.25), (SeedingConfig(max_alpha=0.0, min_error=9.0), 0.0)):
         mapper = started(iterations=30, seeding=settings)
         mapper.add_keyframe(keyframe, [0])
         first = mapper.gaussians
@@ -230,8 +230,8 @@ def test_exposure_and_pose_of_a_keyframe_are_found() -> None:
         keyframes[1], frame=replace(keyframes[1].frame, left=bright), T_world_cam=keyframes[1].T_world_cam @ off
     )
     reports, mappers = [], []
-    for settings in ({}, {"exposure": True}, {"exposure": True, "pose_refinement": 2e-3}):
-        mappers.append(started(iterations=20, **settings))
+    for settings in ({"exposure": False}, {}, {"pose_refinement": 2e-3}):
+        mappers.append(started(iterations=20, seeding=SeedingConfig(stride=2, opacity=0.5), **settings))
         mappers[-1].add_keyframe(keyframes[0], [0])
         reports.append(mappers[-1].add_keyframe(second, [0, 1]).psnr_db)
         shown = mappers[-1].render_frame(1, False, PinholeView.of(dataset.camera, second.T_world_cam)).color
@@ -311,7 +311,9 @@ class BrokenLoss(TorchLoss):
     ],
 )
 def test_a_loss_that_is_no_number_ends_the_run_at_its_step(how: str, good: int, said: str) -> None:
-    mapper = GaussianMapper(GaussianMapperConfig("gaussian", iterations=5, final_iterations=2))
+    mapper = GaussianMapper(
+        GaussianMapperConfig("gaussian", iterations=5, coarse_share=0.6, final_coarse_iterations=0, final_iterations=2)
+    )
     losses = [RgbLoss(RgbConfig("rgb")), BrokenLoss(BrokenConfig("mine", how=how, good=good))]
     mapper.start(street()[0].camera, losses, 0)
 
@@ -343,13 +345,14 @@ def test_finish_and_render_without_any_keyframe() -> None:
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"iterations": 0}, "mapper.iterations must be at least 1"),
+        ({"iterations": 0}, "mapper.iterations=0 is too small"),
         ({"newest_share": 0.9, "window_share": 0.2}, r"newest_share \+ mapper.window_share"),
         ({"depth_range_m": (5.0, 2.0)}, r"mapper.depth_range_m=\[5.0, 2.0\] must be \[near, far\]"),
         ({"sh_degree": 4}, "mapper.sh_degree=4 must be 0 to 3"),
         ({"right_images": 1.2}, "mapper.right_images=1.2 must lie between 0 and 1"),
         ({"camera_color": "gain"}, "mapper.camera_color='gain' is not one of none, gain_bias, affine"),
         ({"pose_refinement": -1.0}, "mapper.pose_refinement=-1.0 is too small"),
+        ({"second_moment_decay": 1.0}, r"mapper.second_moment_decay=1.0 must be at least 0 and below 1"),
     ],
 )
 def test_settings_that_make_no_sense(settings: dict[str, object], text: str) -> None:

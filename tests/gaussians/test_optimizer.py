@@ -9,7 +9,7 @@ from torch import Tensor
 
 from bench.contracts.rasterizer import Gradients
 from bench.gaussians.map import GaussianMap
-from bench.gaussians.optimizer import BETA1, BETA2, EPSILON, LearningRates, MapOptimizer
+from bench.gaussians.optimizer import BETA1, EPSILON, LearningRates, MapOptimizer
 
 RATES = LearningRates(position=1e-3, color=1e-2, opacity=5e-2, scale=5e-3, rotation=2e-3)
 ROWS = {"position": slice(0, 3), "scale": slice(3, 6), "rotation": slice(6, 10), "opacity": slice(10, 11)}
@@ -39,7 +39,7 @@ def test_dense_steps_are_those_of_torch(count: int) -> None:
     groups = {name: torch.nn.Parameter(start[rows].double()) for name, rows in ROWS.items()}
     theirs = torch.optim.Adam(
         [{"params": [parameter], "lr": getattr(RATES, name)} for name, parameter in groups.items()],
-        betas=(BETA1, BETA2),
+        betas=(BETA1, 0.999),
         eps=EPSILON,
     )
     for _ in range(7):

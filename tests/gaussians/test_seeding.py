@@ -17,7 +17,9 @@ H, W = 24, 40
 ROTATION = cv2.Rodrigues(np.array([0.2, -0.4, 0.1]))[0]
 T_WORLD_CAM = np.vstack([np.column_stack([ROTATION, [3.0, -1.0, 7.0]]), [0, 0, 0, 1]])
 VIEW = PinholeView(T_WORLD_CAM, 50.0, 55.0, 18.0, 13.0, W, H)
-PLAIN = SeedingConfig(stride=1, size=0.6, thickness=0.2, opacity=0.5, fill_holes=False, sky_distance_m=0.0)
+PLAIN = SeedingConfig(
+    stride=1, size=0.6, thickness=0.2, opacity=0.5, fill_holes=False, sky_distance_m=0.0, ground=False, margin=0.0
+)
 ALL = np.ones((H, W), bool)
 RNG = np.random.default_rng(0)
 IMAGE = RNG.integers(0, 256, (H, W, 3), dtype=np.uint8)
@@ -77,7 +79,7 @@ def test_size_and_orientation_on_a_plane(normal: tuple[float, float, float]) -> 
 
 def test_stride_takes_every_other_pixel_and_doubles_the_size() -> None:
     depth = np.full((H, W), 10.0, np.float32)
-    config = SeedingConfig(stride=2, size=0.6, thickness=0.2, fill_holes=False, sky_distance_m=0.0)
+    config = replace(PLAIN, stride=2)
     planes, _ = seed_gaussians(IMAGE, depth, None, ALL, VIEW, config)
     assert planes.shape[1] == (H // 2) * (W // 2)
     np.testing.assert_allclose(NamedParameters(planes).scales[:, 0], 0.6 * 2 * 10.0 / 50.0, rtol=1e-5)
@@ -98,7 +100,7 @@ def test_holes_get_seeds_when_asked_for() -> None:
     """A hole in a plane of constant depth is filled with that depth."""
     depth = np.full((H, W), 10.0, np.float32)
     depth[8:14, 10:20] = np.nan
-    config = SeedingConfig(stride=1, fill_holes=True, sky_distance_m=0.0)
+    config = replace(PLAIN, fill_holes=True)
     planes, depths = seed_gaussians(IMAGE, depth, None, ALL, VIEW, config)
     assert planes.shape[1] == H * W
     np.testing.assert_allclose(depths, 10.0, rtol=1e-5)
@@ -109,7 +111,7 @@ def test_sky_lies_at_the_distance_asked_for_and_faces_the_camera() -> None:
     sky = np.zeros((H, W), bool)
     sky[:6] = True
     depth[:6] = np.nan
-    config = SeedingConfig(stride=1, fill_holes=False, sky_distance_m=150.0)
+    config = replace(PLAIN, sky_distance_m=150.0)
     planes, depths = seed_gaussians(IMAGE, depth, sky, ALL, VIEW, config)
     seeds = NamedParameters(planes)
     assert planes.shape[1] == H * W
@@ -129,7 +131,7 @@ def test_no_sky_gaussians_when_not_asked_for(fill: bool) -> None:
     depth[:3] = np.nan
     sky = np.zeros((H, W), bool)
     sky[:6] = True
-    config = SeedingConfig(stride=1, fill_holes=fill, sky_distance_m=0.0)
+    config = replace(PLAIN, fill_holes=fill)
     planes, _ = seed_gaussians(IMAGE, depth, sky, ALL, VIEW, config)
     assert planes.shape[1] == (H - 6) * W
 
@@ -137,7 +139,7 @@ def test_no_sky_gaussians_when_not_asked_for(fill: bool) -> None:
 @pytest.mark.parametrize("fill", [False, True])
 def test_a_frame_without_any_depth_gives_no_seeds(fill: bool) -> None:
     depth = np.full((H, W), np.nan, np.float32)
-    config = SeedingConfig(stride=1, fill_holes=fill, sky_distance_m=0.0)
+    config = replace(PLAIN, fill_holes=fill)
     planes, depths = seed_gaussians(IMAGE, depth, None, ALL, VIEW, config)
     assert planes.shape == (14, 0)
     assert depths.shape == (0,)
@@ -199,7 +201,7 @@ def test_holes_are_not_filled_below_the_ground() -> None:
     depth = np.where(hole, np.nan, truth).astype(np.float32)
 
     def error(ground: bool) -> float:
-        config = SeedingConfig(stride=1, ground=ground, sky_distance_m=0.0)
+        config = replace(PLAIN, fill_holes=True, ground=ground)
         picture = np.zeros((120, 160, 3), np.uint8)
         depths = seed_gaussians(picture, depth, None, np.ones((120, 160), bool), view, config)[1].reshape(120, 160)
         np.testing.assert_allclose(depths[~hole], truth[~hole], rtol=1e-6)
