@@ -41,7 +41,12 @@ def add_parser(subparsers: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("source", type=Path, metavar="RUN_FOLDER|FILE.ply")
-    parser.add_argument("--view", type=int, metavar="FRAME", help="render this frame of the run, from its tracked pose")
+    parser.add_argument(
+        "--view",
+        type=int,
+        metavar="FRAME",
+        help="render this frame of the run, from its tracked pose, without its exposure",
+    )
     parser.add_argument("--right", action="store_true", help="the right camera's view of it")
     parser.add_argument("--out", type=Path, metavar="FILE.png", help="where the rendered view goes")
     parser.add_argument(

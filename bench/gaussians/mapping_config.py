@@ -12,6 +12,11 @@ from bench.supervision.appearance import CAMERA_COLORS
 from bench.supervision.target import COLOR_PIXELS
 
 
+def _seeding() -> SeedingConfig:
+    """Few and pale Gaussians at first; ``refine_stride`` adds what they can't show."""
+    return SeedingConfig(stride=4, opacity=0.15, ground=True, max_depth_m=120.0, margin=0.08)
+
+
 @dataclass(frozen=True)
 class GaussianMapperConfig(PluginConfig):
     """Settings of mapping; the defaults are those of ``system=bgs_slam``."""
@@ -77,7 +82,7 @@ class GaussianMapperConfig(PluginConfig):
     """Rate at which keyframes' poses are optimised with the map, in metres a step (radians: a tenth); 0: the tracker's
     stay. For handheld data, for example 1e-3. The corrections are the mapper's own: frames in between are rendered with
     what lies between those of their neighbours, and the trajectory that is scored stays the tracker's."""
-    seeding: SeedingConfig = field(default_factory=SeedingConfig)
+    seeding: SeedingConfig = field(default_factory=_seeding)
     """Where new Gaussians start."""
     refine_stride: int = 2
     """Before the last iterations at full resolution, keyframes seed once more, at every so many pixels (0: not)."""

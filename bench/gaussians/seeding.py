@@ -27,7 +27,7 @@ _MARGIN_OPACITY = 0.9
 class SeedingConfig:
     """How a keyframe's pixels become Gaussians."""
 
-    stride: int = 4
+    stride: int = 2
     """Every stride-th pixel in both directions."""
     max_alpha: float = 0.5
     """A pixel is not explained yet where the map's alpha is below this."""
@@ -37,16 +37,16 @@ class SeedingConfig:
     """Standard deviation along the surface, in units of the pixel's footprint times the stride."""
     thickness: float = 0.2
     """Standard deviation across the surface, as a share of that along it."""
-    opacity: float = 0.15
+    opacity: float = 0.5
     """Opacity of new Gaussians."""
     fill_holes: bool = True
     """Whether pixels of unknown depth get a smoothly filled one, for seeding only."""
-    ground: bool = True
+    ground: bool = False
     """Whether filled depth ends at the ground: a plane fitted to the depth below the principal point, where one is
     found. For cameras that stand upright above a road or floor, whose overexposed parts stereo does not see."""
-    max_depth_m: float = 120.0
+    max_depth_m: float = 0.0
     """How far stereo depth seeds, in metres (0: as far as it supervises, ``mapper.depth_range_m``)."""
-    margin: float = 0.08
+    margin: float = 0.0
     """How far seeds go on beyond the left and right border of the image, as a share of its width, with the depth and
     colour of the border: what the keyframes do not see is less wrong like that than black."""
     min_confidence: float = 0.0

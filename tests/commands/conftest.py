@@ -11,8 +11,14 @@ from pathlib import Path
 import pytest
 
 TINY = (
-    *("dataset.frames=4", "dataset.width=160", "dataset.height=64", "mapper.iterations=5"),
-    *("tracker=groundtruth", "protocol.lpips=false"),
+    *(
+        "dataset.frames=4",
+        "dataset.width=160",
+        "dataset.height=64",
+        "mapper.iterations=5",
+        "mapper.final_coarse_iterations=1",
+    ),
+    *("tracker=groundtruth", "protocol.lpips=false", "mapper.exposure=false"),
 )
 
 TRACKER = '''
@@ -21,12 +27,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.registry import PluginConfig, register
-from plugins.trackers.groundtruth import GroundTruth
+from bench.registry import register
+from plugins.trackers.groundtruth import GroundTruth, GroundTruthConfig
 
 
 @dataclass(frozen=True)
-class StoppingConfig(PluginConfig):
+class StoppingConfig(GroundTruthConfig):
     how: str = "raise"
     marker: str = ""
 

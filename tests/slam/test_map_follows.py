@@ -11,11 +11,11 @@ import pytest
 
 from bench.config import compose_run
 from bench.geometry import se3
-from bench.registry import PluginConfig, register
+from bench.registry import register
 from bench.slam.run import run_system
 from bench.types import Float, StereoFrame, TrackingResult, Trajectory
 from plugins.datasets.street import Street, StreetConfig
-from plugins.trackers.groundtruth import GroundTruth
+from plugins.trackers.groundtruth import GroundTruth, GroundTruthConfig
 
 LAP = 30
 STREET = {"frames": LAP + 6, "width": 128, "height": 48, "speed_m": 8.0, "circuit_m": 240}
@@ -24,7 +24,7 @@ DRIFT = np.array([2.0, -0.2, 3.0, 0.0, np.deg2rad(5.0), 0.0])
 
 
 @dataclass(frozen=True)
-class DriftingConfig(PluginConfig):
+class DriftingConfig(GroundTruthConfig):
     """``corrected_at``: the frame from which on all poses are right; -1 = all are right from the first."""
 
     corrected_at: int = -1

@@ -23,7 +23,12 @@ from plugins.mappers.gaussian import GaussianMapper
 from plugins.trackers.groundtruth import GroundTruth
 
 STREET = ("dataset.frames=6", "dataset.width=320", "dataset.height=96", "mapper.iterations=3", "protocol.lpips=false")
-STREET += ("mapper.final_iterations=2", "mapper.cached_targets=2", "protocol.holdout_every=5")
+STREET += (
+    "mapper.final_coarse_iterations=1",
+    "mapper.final_iterations=1",
+    "mapper.cached_targets=2",
+    "protocol.holdout_every=5",
+)
 # So that the map moves and is pruned, and events tell of it.
 STREET += ("mapper.follow_corrections_m=0", "mapper.follow_corrections_deg=0", "mapper.prune_opacity=0.45")
 SAME_BYTES = (

@@ -19,7 +19,12 @@ from bench.types import Map, StereoFrame
 from plugins.datasets.street import Street, StreetConfig
 
 SETTINGS = ("dataset=rgbd_for_tests", "dataset.frames=4", "dataset.width=320", "dataset.height=96")
-SETTINGS += ("mapper.iterations=3", "mapper.final_iterations=1", "protocol.lpips=false")
+SETTINGS += (
+    "mapper.iterations=3",
+    "mapper.final_coarse_iterations=1",
+    "mapper.final_iterations=1",
+    "protocol.lpips=false",
+)
 
 
 @register("dataset", "rgbd_for_tests", config=StreetConfig)

@@ -27,7 +27,10 @@ from plugins.mappers.gaussian import GaussianMapper
 
 FOLDER = str(Path(__file__).parent / "user_plugins")
 STREET = ("dataset=street", "dataset.width=320", "dataset.height=96", "dataset.speed_m=0.05", "protocol.lpips=false")
-ALIGN = (*STREET, "tracker=map_align", "mapper.iterations=12", "mapper.final_iterations=0", "protocol.right_view=false")
+# A map that is good as soon as it is there.
+DENSE = ("mapper.coarse_share=0.6", "mapper.seeding.stride=2", "mapper.seeding.opacity=0.5", "mapper.exposure=false")
+ALIGN = (*STREET, *DENSE, "tracker=map_align", "mapper.iterations=12", "mapper.final_coarse_iterations=0")
+ALIGN += ("mapper.final_iterations=0", "protocol.right_view=false")
 POINTS = (*STREET, "dataset.frames=4", "dataset.speed_m=0.5", "mapper=point_cloud", "tracker=groundtruth")
 
 
@@ -65,6 +68,8 @@ def test_a_tracker_that_looks_at_the_map_is_resumed_to_the_bit(tmp_path: Path, m
 def test_a_tracker_that_looks_at_the_map_stays_within_a_centimetre(tmp_path: Path) -> None:
     """14 frames of 10 cm each; the street knows its poses. A camera that never moves has 40 cm."""
     slow = (
+        *DENSE,
+        "mapper.final_coarse_iterations=0",
         "dataset=street",
         "dataset.frames=14",
         "dataset.speed_m=0.1",

@@ -13,7 +13,16 @@ from bench.cli import main
 
 # Two runs of a street; what the runs learn differs between the seeds.
 RUNS = (
-    *("run", "-m", "seed=0,1", "dataset.frames=2", "dataset.width=96", "dataset.height=48", "mapper.iterations=2"),
+    *(
+        "run",
+        "-m",
+        "seed=0,1",
+        "dataset.frames=2",
+        "dataset.width=96",
+        "dataset.height=48",
+        "mapper.iterations=2",
+        "mapper.final_coarse_iterations=1",
+    ),
     *("tracker=groundtruth", "protocol.lpips=false", "cache.enabled=false"),
 )
 # RAY_ADDRESS: another's cluster, which a sweep does not join unless it is told to.

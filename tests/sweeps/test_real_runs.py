@@ -11,7 +11,7 @@ import pytest
 from bench.cli import main
 
 TINY = (
-    *("mapper.iterations=1", "tracker=groundtruth", "dataset.frames=0:2"),
+    *("mapper.iterations=1", "mapper.final_coarse_iterations=1", "tracker=groundtruth", "dataset.frames=0:2"),
     *("protocol.lpips=false", "cache.enabled=false"),
 )
 
