@@ -27,7 +27,7 @@ class GaussianMapperConfig(PluginConfig):
     """Rendered views when a keyframe arrives."""
     final_coarse_iterations: int = 20
     """Rendered views per keyframe at the end, at half resolution, each keyframe in turn."""
-    final_iterations: int = 10
+    final_iterations: int = 8
     """After them, the same at full resolution."""
     coarse_share: float = 1.0
     """The first part of a keyframe's iterations, which runs at half resolution."""

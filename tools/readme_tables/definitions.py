@@ -35,10 +35,11 @@ _STAGES = "+".join(f"resources.{stage}_s_per_frame" for stage in ("tracking", "s
 _SETTINGS = (
     "system=bgs_slam",
     "system=bgs_slam_fast",
+    "system=bgs_slam_best",
     "system=bgs_slam stereo=lidar",
     "system=bgs_slam_paper",
-    "system=bgs_slam_paper stereo=lidar",
-    "system=bgs_slam_paper mapper.seeding.fill_holes=true mapper.seeding.sky_distance_m=200",
+    "system=bgs_slam_letter",
+    "system=bgs_slam_letter stereo=lidar",
 )
 _TRAIN = ("views.train.psnr_db", "views.train.ssim", "views.train.lpips")
 _MEASURED = (
