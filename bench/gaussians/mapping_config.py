@@ -25,7 +25,7 @@ class GaussianMapperConfig(PluginConfig):
     """Degree of the spherical harmonics of the colours, 0 (one colour from all sides) to 3."""
     iterations: int = 8
     """Rendered views when a keyframe arrives."""
-    final_coarse_iterations: int = 20
+    final_coarse_iterations: int = 15
     """Rendered views per keyframe at the end, at half resolution, each keyframe in turn."""
     final_iterations: int = 8
     """After them, the same at full resolution."""
