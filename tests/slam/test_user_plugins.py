@@ -28,7 +28,10 @@ from plugins.mappers.gaussian import GaussianMapper
 FOLDER = str(Path(__file__).parent / "user_plugins")
 STREET = ("dataset=street", "dataset.width=320", "dataset.height=96", "dataset.speed_m=0.05", "protocol.lpips=false")
 # A map that is good as soon as it is there.
-DENSE = ("mapper.coarse_share=0.6", "mapper.seeding.stride=2", "mapper.seeding.opacity=0.5", "mapper.exposure=false")
+DENSE = ("mapper.coarse_share=0.6", "mapper.scale_rate=1e-2", "mapper.rotation_rate=1e-3", "mapper.exposure=false")
+DENSE += ("mapper.second_moment_decay=0.999", "loss=[rgb,ssim,geo]", "loss.ssim.weight=0.2", "loss.geo.weight=0.1")
+DENSE += ("mapper.seeding.stride=2", "mapper.seeding.opacity=0.5", "mapper.seeding.margin=0")
+DENSE += ("mapper.seeding.ground=false", "mapper.seeding.max_depth_m=0")
 ALIGN = (*STREET, *DENSE, "tracker=map_align", "mapper.iterations=12", "mapper.final_coarse_iterations=0")
 ALIGN += ("mapper.final_iterations=0", "protocol.right_view=false")
 POINTS = (*STREET, "dataset.frames=4", "dataset.speed_m=0.5", "mapper=point_cloud", "tracker=groundtruth")
@@ -69,6 +72,7 @@ def test_a_tracker_that_looks_at_the_map_stays_within_a_centimetre(tmp_path: Pat
     """14 frames of 10 cm each; the street knows its poses. A camera that never moves has 40 cm."""
     slow = (
         *DENSE,
+        "mapper.iterations=24",
         "mapper.final_coarse_iterations=0",
         "dataset=street",
         "dataset.frames=14",
@@ -85,7 +89,7 @@ def test_a_tracker_that_looks_at_the_map_stays_within_a_centimetre(tmp_path: Pat
 @pytest.mark.slow
 def test_a_tracker_that_looks_at_the_map_passes_its_checks() -> None:
     small = ("dataset=street", "dataset.frames=6", "dataset.width=160", "dataset.height=64", "dataset.speed_m=0.05")
-    findings = check_plugin("tracker=map_align", *small, "mapper.iterations=8", folders=[FOLDER])
+    findings = check_plugin("tracker=map_align", *small, *DENSE, "mapper.iterations=8", folders=[FOLDER])
     assert not [finding.lines() for finding in findings if finding.state == "FAILED"]
     assert "the same bits" in next(finding.seen for finding in findings if finding.title == "resumes")
 
