@@ -334,6 +334,16 @@ def test_a_map_that_is_spoilt_between_two_keyframes_is_no_picture() -> None:
         mapper.finish()
 
 
+def test_the_second_seeding_adds_gaussians_to_the_keyframes_that_have_some() -> None:
+    """Once, between coarse and fine iterations; Gaussians of a keyframe stay neighbours, in the order of keyframes."""
+    few = {"iterations": 1, "final_coarse_iterations": 1, "final_iterations": 1, "prune_opacity": 0.0}
+    once, twice = mapped(refine_stride=0, **few)._map, mapped(refine_stride=2, refine_error=0.0, **few)._map
+    assert once.anchor.unique().tolist() == twice.anchor.unique().tolist() == [0, 1, 2, 3]
+    assert (twice.anchor.diff() >= 0).all()
+    pixels = 160 // 2 * (64 // 2)
+    assert pixels * 0.9 < int((twice.anchor == 3).sum() - (once.anchor == 3).sum()) < pixels * 1.3
+
+
 def test_finish_and_render_without_any_keyframe() -> None:
     mapper = started()
     mapper.finish()
