@@ -26,7 +26,7 @@ class Photometric(NamedTuple):
 
 
 def photometric(color: Tensor, target: Target, weights: Photometric) -> tuple[Photometric, Tensor]:
-    """The values and the gradient (3, H, W) of their weighted sum; the core takes 1 - SSIM for 0 where its weight is 0."""
+    """The values, and the gradient (3, H, W) of their weighted sum; the core says 0 for 1 - SSIM of weight 0."""
     if color.device.type == "cpu":
         import bench._native as _native
 
