@@ -233,7 +233,16 @@ def _repeats(subject: Subject) -> str | Note:
         raise ContractBrokenError(
             "differentiable=False gives another image", "the same image", "leave out only what backward needs", "render"
         )
-    return "twice the same bits, forward and backward, and with differentiable=False"
+    buffer = torch.full((len(planes), planes.shape[1] + 5), torch.nan, device=subject.rasterizer.device)
+    buffer[:, :-5] = planes
+    if not torch.equal(subject.render(buffer[:, :-5], view).color, first.color):
+        raise ContractBrokenError(
+            "the front of a larger buffer, buffer[:, :N], gives another image than its copy",
+            "the same image",
+            "planes.contiguous(), or rows that are planes.stride(0) floats apart",
+            "render",
+        )
+    return "twice the same bits, forward and backward, with differentiable=False, and from the front of a larger buffer"
 
 
 def _speed(subject: Subject) -> Note:

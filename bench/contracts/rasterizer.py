@@ -57,7 +57,10 @@ class Rasterizer(ABC):
 
     @abstractmethod
     def render(self, planes: Tensor, view: PinholeView, differentiable: bool = True) -> Rendered:
-        """Render (P, N) parameters; ``differentiable=False`` where ``backward`` will not be called."""
+        """Render (P, N) float32 parameters; ``differentiable=False`` where ``backward`` will not be called.
+
+        The planes may be the front of a larger buffer, ``buffer[:, :N]``: rows are contiguous, the tensor need not be.
+        """
 
     @abstractmethod
     def backward(

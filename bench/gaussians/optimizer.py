@@ -47,7 +47,7 @@ class MapOptimizer:
 
     def step(self, gaussians: GaussianMap, gradients: Gradients) -> None:
         """One update of parameters and moments of the touched Gaussians, in place; their birth depths multiply the
-        rate of the positions."""
+        rate of the positions. Moments and birth depths have M <= N columns: Gaussians from the M-th on are frozen."""
         self.steps += 1
         rates = self._rates.per_plane(gaussians.sh_degree)
         if gaussians.device.type == "cpu":
@@ -68,13 +68,14 @@ class MapOptimizer:
             self._step_in_torch(gaussians, gradients, rates)
 
     def _step_in_torch(self, gaussians: GaussianMap, gradients: Gradients, rates: list[float]) -> None:
-        touched = gradients.touched[None]
-        first = torch.lerp(gradients.planes, gaussians.first_moment, BETA1)
-        second = torch.lerp(gradients.planes**2, gaussians.second_moment, self._beta2)
-        rate = torch.tensor(rates, device=gaussians.device)[:, None].repeat(1, len(gaussians))
+        learning = gaussians.first_moment.shape[1]
+        touched, by_planes = gradients.touched[None, :learning], gradients.planes[:, :learning]
+        first = torch.lerp(by_planes, gaussians.first_moment, BETA1)
+        second = torch.lerp(by_planes**2, gaussians.second_moment, self._beta2)
+        rate = torch.tensor(rates, device=gaussians.device)[:, None].repeat(1, learning)
         rate[MEAN] *= gaussians.birth_depth
         corrected = second / (1 - self._beta2**self.steps)
         update = rate * first / (1 - BETA1**self.steps) / (corrected.sqrt() + EPSILON)
-        gaussians.planes.sub_(torch.where(touched, update, 0.0))
+        gaussians.planes[:, :learning].sub_(torch.where(touched, update, 0.0))
         gaussians.first_moment.copy_(torch.where(touched, first, gaussians.first_moment))
         gaussians.second_moment.copy_(torch.where(touched, second, gaussians.second_moment))

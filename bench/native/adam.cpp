@@ -12,18 +12,21 @@
 
 namespace {
 
-void adam_step(Array2& params, Array2& first, Array2& second, const Array2& grads, std::optional<Array1> position_rate,
+void adam_step(Planes& params, Planes& first, Planes& second, const Planes& grads, std::optional<Array1> position_rate,
                const std::vector<float>& rates, float beta1, float beta2, float epsilon, int step,
                std::optional<Flags> touched) {
-    const size_t planes = params.shape(0), n = params.shape(1);
-    for (const Array2* a : {static_cast<const Array2*>(&params), static_cast<const Array2*>(&first), static_cast<const Array2*>(&second), &grads})
-        require(a->shape(0) == planes && a->shape(1) == n, "params, first, second and grads must all have the same shape");
+    const size_t planes = params.shape(0), n = params.shape(1), learning = first.shape(1);
+    require(first.shape(0) == planes && second.shape(0) == planes && second.shape(1) == learning && learning <= n,
+            "first and second must have the same shape (P, M), M at most N, for params of shape (P, N)");
+    require(grads.shape(0) == planes && grads.shape(1) == n, "grads must have the shape of params");
     require(rates.size() == planes, "rates must have one entry per plane");
-    require(!position_rate || position_rate->shape(0) == n, "position_rate must have shape (N,)");
+    require(!position_rate || position_rate->shape(0) == learning, "position_rate must have shape (M,), one entry per column of first");
     require(!touched || touched->shape(0) == n, "touched must have shape (N,)");
     bgs::AdamArgs args{};
     args.params = params.data(), args.first = first.data(), args.second = second.data(), args.grads = grads.data();
-    args.stride = n, args.grads_stride = n, args.count = static_cast<int>(n);
+    args.stride = stride_of(params, "params"), args.grads_stride = stride_of(grads, "grads");
+    args.first_stride = stride_of(first, "first"), args.second_stride = stride_of(second, "second");
+    args.count = static_cast<int>(learning);
     args.touched = touched ? touched->data() : nullptr;
     args.position_rate = position_rate ? position_rate->data() : nullptr;
     args.rates = rates.data(), args.planes = static_cast<int>(planes);

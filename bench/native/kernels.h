@@ -148,8 +148,8 @@ struct GeoArgs {
 struct AdamArgs {
     float *params, *first, *second;
     const float* grads;
-    size_t stride, grads_stride;
-    int count, planes;
+    size_t stride, first_stride, second_stride, grads_stride;
+    int count, planes;     // Gaussians that have moments: the first ones of the map
     const bool* touched;   // only these are updated; null = all
     const float* position_rate;  // per Gaussian factor on the rate of its position; null = 1
     const float* rates;    // of each plane

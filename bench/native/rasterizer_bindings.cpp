@@ -30,13 +30,13 @@ bgs::View view_of(const Matrix& T_cam_world, float fx, float fy, float cx, float
     return v;
 }
 
-int degree_of(const Array2& planes) {
+int degree_of(const Planes& planes) {
     for (int degree = 0; degree <= bgs::MAX_DEGREE; ++degree)
         if (static_cast<int>(planes.shape(0)) == bgs::planes_of(degree)) return degree;
     throw std::invalid_argument("planes must have shape (14, N), (23, N), (38, N) or (59, N)");
 }
 
-void forward(bgs::Workspace& ws, const Array2& planes, const Matrix& T_cam_world, float fx, float fy, float cx, float cy, Array3& color,
+void forward(bgs::Workspace& ws, const Planes& planes, const Matrix& T_cam_world, float fx, float fy, float cx, float cy, Array3& color,
              Array2& depth, Array2& alpha) {
     const int degree = degree_of(planes);
     const int height = static_cast<int>(depth.shape(0)), width = static_cast<int>(depth.shape(1));
@@ -44,21 +44,23 @@ void forward(bgs::Workspace& ws, const Array2& planes, const Matrix& T_cam_world
     check_map(alpha, height, width, "alpha must have the shape of depth");
     const bgs::View view = view_of(T_cam_world, fx, fy, cx, cy, width, height);
     const int count = static_cast<int>(planes.shape(1));
+    const size_t stride = stride_of(planes, "planes");
     nb::gil_scoped_release release;
-    ws.forward(planes.data(), planes.shape(1), count, degree, view, color.data(), depth.data(), alpha.data());
+    ws.forward(planes.data(), stride, count, degree, view, color.data(), depth.data(), alpha.data());
 }
 
-void observe(bgs::Workspace& ws, const Array2& planes, const Matrix& T_cam_world, float fx, float fy, float cx, float cy, Counts& pixels,
+void observe(bgs::Workspace& ws, const Planes& planes, const Matrix& T_cam_world, float fx, float fy, float cx, float cy, Counts& pixels,
              Array2& median_depth) {
     const int degree = degree_of(planes), count = static_cast<int>(planes.shape(1));
     require(pixels.shape(0) == planes.shape(1), "pixels must have shape (N,)");
     const bgs::View view = view_of(T_cam_world, fx, fy, cx, cy, static_cast<int>(median_depth.shape(1)), static_cast<int>(median_depth.shape(0)));
+    const size_t stride = stride_of(planes, "planes");
     nb::gil_scoped_release release;
-    ws.observe(planes.data(), planes.shape(1), count, degree, view, pixels.data(), median_depth.data());
+    ws.observe(planes.data(), stride, count, degree, view, pixels.data(), median_depth.data());
 }
 
-std::vector<double> backward(bgs::Workspace& ws, const Array2& planes, const std::optional<Array3>& grad_color,
-                             const std::optional<Array2>& grad_depth, const std::optional<Array2>& grad_alpha, Array2& grads, Flags& touched,
+std::vector<double> backward(bgs::Workspace& ws, const Planes& planes, const std::optional<Array3>& grad_color,
+                             const std::optional<Array2>& grad_depth, const std::optional<Array2>& grad_alpha, Planes& grads, Flags& touched,
                              bool pose) {
     require(static_cast<int>(planes.shape(0)) == bgs::planes_of(ws.degree()) && static_cast<int>(planes.shape(1)) == ws.count(), "planes are not those of the forward pass");
     require(grads.shape(0) == planes.shape(0) && grads.shape(1) == planes.shape(1), "grads must have the shape of planes");
@@ -67,9 +69,10 @@ std::vector<double> backward(bgs::Workspace& ws, const Array2& planes, const std
     if (grad_depth) check_map(*grad_depth, ws.height(), ws.width(), "grad_depth must have shape (H, W)");
     if (grad_alpha) check_map(*grad_alpha, ws.height(), ws.width(), "grad_alpha must have shape (H, W)");
     std::vector<double> twist(pose ? 6 : 0);
+    const size_t stride = stride_of(planes, "planes"), grads_stride = stride_of(grads, "grads");
     nb::gil_scoped_release release;
-    ws.backward(planes.data(), planes.shape(1), grad_color ? grad_color->data() : nullptr, grad_depth ? grad_depth->data() : nullptr,
-                grad_alpha ? grad_alpha->data() : nullptr, grads.data(), grads.shape(1), touched.data(),
+    ws.backward(planes.data(), stride, grad_color ? grad_color->data() : nullptr, grad_depth ? grad_depth->data() : nullptr,
+                grad_alpha ? grad_alpha->data() : nullptr, grads.data(), grads_stride, touched.data(),
                 pose ? twist.data() : nullptr);
     return twist;
 }

@@ -104,3 +104,30 @@ def test_torch_form_is_the_same_step() -> None:
         other.steps += 1
         other._step_in_torch(general, step, RATES.per_plane(0))
     torch.testing.assert_close(general.planes, native.planes, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_gaussians_without_moments_are_frozen_and_rows_may_have_room_behind_them(native: bool) -> None:
+    """The first 13 of 21 learn as they do alone, whatever else the rows' buffers hold."""
+    generator = torch.Generator().manual_seed(5)
+    count, learning = 21, 13
+    start, birth = torch.randn(14, count, generator=generator), torch.rand(count, generator=generator) + 0.5
+    alone, some, optimizer = map_of(start[:, :learning], birth[:learning]), map_of(start, birth), MapOptimizer(RATES)
+    for name, length, room in (("planes", count, 3), ("first_moment", learning, 9), ("second_moment", learning, 2)):
+        buffer = torch.full((14, length + room), torch.nan)
+        buffer[:, :length] = getattr(some, name)[:, :length]
+        setattr(some, name, buffer[:, :length])
+    some.birth_depth = birth[:learning]
+    for optimizer.steps in range(1, 4):
+        step = gradients(generator, count, torch.rand(count, generator=generator) < 0.7)
+        for gaussians, of in ((some, count), (alone, learning)):
+            part = Gradients(step.planes[:, :of], step.touched[:of], None)
+            if native:
+                optimizer.steps -= 1
+                optimizer.step(gaussians, part)
+            else:
+                optimizer._step_in_torch(gaussians, part, RATES.per_plane(0))
+    assert torch.equal(some.planes[:, learning:], start[:, learning:])
+    assert torch.equal(some.planes[:, :learning], alone.planes)
+    assert torch.equal(some.first_moment, alone.first_moment)
+    assert torch.equal(some.second_moment, alone.second_moment)

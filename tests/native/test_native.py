@@ -89,11 +89,15 @@ def test_images_of_different_shapes_are_refused(shape: tuple[int, ...], text: st
 def test_adam_refuses_wrong_shapes() -> None:
     planes, rates = torch.zeros(14, 6), [0.1] * 14
     common = (0.9, 0.999, 1e-15, 1, None)
-    with pytest.raises(ValueError, match="must all have the same shape"):
+    with pytest.raises(ValueError, match="grads must have the shape of params"):
         _native.adam_step(planes, planes, planes, torch.zeros(14, 5), None, rates, *common)
+    with pytest.raises(ValueError, match=r"must have the same shape \(P, M\), M at most N"):
+        _native.adam_step(planes, torch.zeros(14, 7), torch.zeros(14, 7), planes, None, rates, *common)
+    with pytest.raises(ValueError, match="second: each row must be contiguous"):
+        _native.adam_step(planes, planes, torch.zeros(6, 14).T, planes, None, rates, *common)
     with pytest.raises(ValueError, match="rates must have one entry per plane"):
         _native.adam_step(planes, planes, planes, planes, None, rates[:3], *common)
-    with pytest.raises(ValueError, match=r"position_rate must have shape \(N,\)"):
+    with pytest.raises(ValueError, match=r"position_rate must have shape \(M,\)"):
         _native.adam_step(planes, planes, planes, planes, torch.zeros(5), rates, *common)
 
 

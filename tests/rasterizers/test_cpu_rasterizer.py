@@ -136,6 +136,22 @@ def test_counts_around_a_vector_and_around_a_chunk(count: int) -> None:
     assert torch.equal(few_grads.planes, all_grads.planes[:, :count])
 
 
+@pytest.mark.parametrize("make", [cpu, reference])
+@pytest.mark.parametrize("spare", [1, 8, 1000])
+def test_the_front_of_a_larger_buffer_is_as_good_as_a_copy(make: Callable[[], Rasterizer], spare: int) -> None:
+    planes, view = random_scene(SCENES["round, opaque, 33x17"])
+    count, grads = planes.shape[1], image_gradients(view, 5)
+    buffer = torch.full((len(planes), count + spare), torch.nan)
+    front = buffer[:, :count]
+    front[:] = planes
+    (copied, by_copied), (rendered, by_front) = (render_and_back(make(), each, view, grads) for each in (planes, front))
+    assert torch.equal(rendered.color, copied.color)
+    assert torch.equal(by_front.planes, by_copied.planes)
+    assert torch.equal(by_front.twist, by_copied.twist)  # type: ignore[arg-type]
+    assert torch.equal(make().observe(front, view).pixels, make().observe(planes, view).pixels)
+    assert make().render(buffer[:, :0], view).alpha.max() == 0.0
+
+
 def test_same_bits_for_any_number_of_threads() -> None:
     planes, view = random_scene(SceneSpec(10, 5000, 150, 70, 4.0, (0.02, 0.95)))
     grads = image_gradients(view, 6)
@@ -221,7 +237,8 @@ def _bad(change: str, planes: Tensor) -> Tensor:
     return {
         "rows": planes[:13].contiguous(),
         "dtype": planes.double(),
-        "not contiguous": planes.T.contiguous().T,
+        "transposed": planes.T.contiguous().T,
+        "one row for all": planes[:1].expand(14, -1),
         "one dimension": planes.flatten(),
     }[change]
 
@@ -231,7 +248,8 @@ def _bad(change: str, planes: Tensor) -> Tensor:
     [
         ("rows", ValueError, r"planes must have shape \(14, N\), \(23, N\)"),
         ("dtype", TypeError, r"planes: .*float32"),
-        ("not contiguous", TypeError, r"planes: "),
+        ("transposed", ValueError, "planes: each row must be contiguous"),
+        ("one row for all", ValueError, "planes: each row must be contiguous and the rows must not overlap"),
         ("one dimension", TypeError, r"planes: "),
     ],
 )
