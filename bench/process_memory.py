@@ -1,9 +1,13 @@
-"""Peak memory of the peers of this process, which its own high-water mark does not contain."""
+"""What this process and its peers occupy; a process's own high-water mark does not contain its peers."""
 
 from __future__ import annotations
 
+import os
 import threading
 from pathlib import Path
+
+STATM = Path("/proc/self/statm")
+"""Absent where a system does not tell what a process occupies."""
 
 _lock = threading.Lock()
 _peaks_kib: dict[int, int] = {}
@@ -22,6 +26,11 @@ def peers_now_gb() -> float:
     with _lock:
         pids = list(_peaks_kib)
     return sum(_kib(pid, "VmRSS") or 0 for pid in pids) * 1024 / 1e9
+
+
+def occupied_gb() -> float:
+    """Resident memory of this process and its running peers, in GB of 1e9 bytes; raises ``OSError`` without /proc."""
+    return int(STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e9 + peers_now_gb()
 
 
 def forget_peaks() -> None:

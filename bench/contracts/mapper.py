@@ -10,6 +10,7 @@ from typing import Any
 from bench.contracts.loss import LossTerm
 from bench.contracts.map_view import MapView
 from bench.errors import BenchError
+from bench.runs.memory import MemoryBudget
 from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
 
 
@@ -34,6 +35,10 @@ class Mapper(ABC):
     @abstractmethod
     def start(self, camera: StereoCamera, losses: Sequence[LossTerm], seed: int) -> None:
         """Called once before the first keyframe; all randomness comes from ``seed``. The map is empty."""
+
+    def use_memory_budget(self, budget: MemoryBudget) -> None:  # noqa: B027 - most mappers have nothing on disk
+        """Called once after ``start``: what ``limits.memory_gb`` leaves. A mapper that can read parts of its map again
+        from disk keeps fewer of them in memory when little is left; its results must not depend on it."""
 
     @abstractmethod
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import signal
 import sys
 import threading
@@ -18,7 +17,7 @@ from typing import Any
 
 from bench import _native
 from bench.errors import BenchError
-from bench.process_memory import peers_now_gb
+from bench.process_memory import STATM, occupied_gb
 from bench.runs.status import STATUS_FILE, RunStatus
 
 _POLL_S = 0.05
@@ -26,7 +25,6 @@ _POLL_S = 0.05
 GRACE_S = 30.0
 # How often the end of the process is put off, at most: each time its status is composed anew.
 _PUT_OFF_S = 1.0
-_STATM = Path("/proc/self/statm")
 _SIGNAL = signal.SIGUSR1
 
 
@@ -38,8 +36,9 @@ class LimitsConfig:
     """Where a run ends itself."""
 
     memory_gb: float | None = None
-    """A run that occupies more GB (of 1e9 bytes, with the processes of its plugins) ends as out of memory, before the
-    system picks a process to kill; null: no limit."""
+    """How much a run may occupy, in GB of 1e9 bytes, with the processes of its plugins: the mapper keeps on disk what
+    would not fit, and a run that needs more all the same ends as out of memory, before the system picks a process to
+    kill; null: no limit."""
     hours: float | None = None
     """A run that takes longer, scoring included, ends as failed and saves what it has; null: no limit."""
     stall_minutes: float | None = None
@@ -111,7 +110,7 @@ class Watchdog:
     def watching(self) -> Iterator[None]:
         """Watch during the block; within another such block the outer one goes on."""
         limits = self._limits
-        if self._watching or limits == LimitsConfig() or (self._end() is None and not _STATM.is_file()):
+        if self._watching or limits == LimitsConfig() or (self._end() is None and not STATM.is_file()):
             yield
             return
         self._watching = True
@@ -132,8 +131,8 @@ class Watchdog:
 
     def _watch(self, ended: threading.Event, in_main_thread: bool) -> None:
         while not ended.wait(_POLL_S):
-            if self._limits.memory_gb is not None and _STATM.is_file():
-                self._seen_gb = _resident_gb() + peers_now_gb()
+            if self._limits.memory_gb is not None and STATM.is_file():
+                self._seen_gb = occupied_gb()
             try:
                 self.check()
             except (MemoryLimitError, TimeLimitError):
@@ -187,7 +186,3 @@ def _handled(handler: Any) -> Iterator[bool]:
         yield True
     finally:
         signal.signal(_SIGNAL, before)
-
-
-def _resident_gb() -> float:
-    return int(_STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e9

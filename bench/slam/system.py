@@ -20,6 +20,7 @@ from bench.errors import BenchError
 from bench.plugin_config import plugins_in
 from bench.protocol import Protocol
 from bench.runs.fingerprint import fingerprint
+from bench.runs.memory import MemoryBudget
 
 
 @dataclass
@@ -52,6 +53,7 @@ class System:
             parts["tracker"], config.plugin("tracker"), config.values["dataset"], config.cache
         )
         parts["mapper"].start(dataset.camera, losses, config.values["seed"])
+        parts["mapper"].use_memory_budget(MemoryBudget(config.limits.memory_gb))
         if parts["mapper"].uses_right_images and not dataset.has_right:
             raise BenchError(
                 f"mapper={config.plugin('mapper').name} is set to use right images, and {dataset.label} has none. See "

@@ -5,15 +5,19 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import json
+import math
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bench.config import compose_run
 from bench.runs import provenance
-from bench.runs.memory import PeakMemory
+from bench.runs.memory import MemoryBudget, PeakMemory
 from bench.runs.provenance import collect_provenance, describe_weights
+from bench.slam.system import System
+from plugins.mappers.none import NoMapper
 
 
 def test_provenance_names_what_made_the_run(tmp_path: Path) -> None:
@@ -65,3 +69,21 @@ def test_peak_memory_sees_what_was_allocated_and_freed() -> None:
         pytest.skip("this kernel does not let a process reset its high-water mark")
     assert 0.38 <= after - before <= 0.45
     assert PeakMemory().host_gb() < after - 0.3, "a new measurement starts from what is resident now"
+
+
+def test_a_budget_says_what_is_left_and_seldom_asks_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    rss_kib = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS"))
+    assert MemoryBudget(100.0).left_gb() == pytest.approx(100 - int(rss_kib.split()[1]) * 1024 / 1e9, abs=0.05)
+    asked: list[float] = []
+    monkeypatch.setattr("bench.runs.memory.occupied_gb", lambda: (asked.append(0.0), 1.5)[1])
+    budget = MemoryBudget(1.0)
+    assert {budget.left_gb() for _ in range(1000)} == {-0.5}
+    assert len(asked) <= 2
+    assert MemoryBudget(None).left_gb() == math.inf
+
+
+def test_a_mapper_is_given_the_budget_of_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[float | None] = []
+    monkeypatch.setattr(NoMapper, "use_memory_budget", lambda self, budget: given.append(budget.limit_gb))
+    System.build(compose_run(["mapper=none", "limits.memory_gb=3.5", "dataset.frames=2"]))
+    assert given == [3.5]
