@@ -9,7 +9,7 @@ import re
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -132,8 +132,8 @@ class RunFolder:
         self.warnings: Sequence[str] = ()
         self._started = ""
         self._told = -math.inf
-        # The depth map is compressed beside the colour image: on two cores this nearly halves the time per view.
-        self._second_writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="depth-png")
+        # Colour and depth are compressed beside each other, and beside the rendering of the next view.
+        self._writers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="view-png")
 
     @classmethod
     def create(
@@ -211,19 +211,34 @@ class RunFolder:
 
         ``depth`` is the one that the protocol names (raw or normalised by alpha), NaN where nothing was rendered.
         """
-        color_path = picture_path(self.path, view, "color", number)
-        depth_path = picture_path(self.path, view, "depth", number)
-        for picture in (color_path, depth_path):
-            picture.parent.mkdir(parents=True, exist_ok=True)
-        depth_written = self._second_writer.submit(lambda: write_image(depth_path, depth_to_16bit(depth)))
-        write_image(color_path, color_to_8bit(view_data.color))
-        depth_written.result()
+        for picture in self.begin_view(view, number, view_data, depth):
+            picture.result()
+
+    def begin_view(self, view: View, number: int, view_data: RenderedView, depth: Map) -> list[Future[None]]:
+        """As ``write_view``, in the background: each picture's end, or what went wrong with it."""
+        pictures: dict[str, npt.NDArray[Any]] = {
+            "color": color_to_8bit(view_data.color),
+            "depth": depth_to_16bit(depth),
+        }
+        return [self._writers.submit(self._write_picture, view, what, number, p) for what, p in pictures.items()]
+
+    def _write_picture(self, view: View, what: str, number: int, picture: npt.NDArray[Any]) -> None:
+        path = picture_path(self.path, view, what, number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_image(path, picture)
+
+    def has_view(self, view: View, number: int) -> bool:
+        """Whether both pictures of a view are there; each is written whole or not at all."""
+        return all(picture_path(self.path, view, what, number).is_file() for what in ("color", "depth"))
+
+    def remove_views(self) -> None:
+        """Remove all pictures of views, those of masks too."""
+        for file in _pictures(self.path):
+            file.unlink()
 
     def write_mask(self, what: str, number: int, mask: Mask) -> None:
         """Save a mask (H, W) of the left image of frame ``number`` in the folder ``views/left/WHAT``."""
-        path = picture_path(self.path, "left", what, number)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_image(path, np.uint8(255) * mask)
+        self._write_picture("left", what, number, np.uint8(255) * mask)
 
     def write_trajectory(self, trajectory: Trajectory, ground_truth: Trajectory | None) -> None:
         """Save the estimated poses (CSV with frame numbers, KITTI, TUM) and the ground truth (CSV, KITTI)."""
@@ -305,10 +320,13 @@ def _remove_old_outputs(path: Path, map_file: str | None, keep: set[str]) -> Non
     for name in (*OTHER_FILES, *([map_file] if map_file else [])):
         if name not in keep:
             (path / name).unlink(missing_ok=True)
-    for view in VIEWS:
-        for pictures in (path / "views" / view).glob("*"):
-            for file in pictures.iterdir() if pictures.is_dir() else ():
-                if _PICTURE.fullmatch(file.name) or file.match(TEMPORARY_PATTERN):
-                    file.unlink()
+    for picture in _pictures(path):
+        picture.unlink()
     for leftover in path.glob(TEMPORARY_PATTERN):
         leftover.unlink()
+
+
+def _pictures(path: Path) -> list[Path]:
+    """The views and masks of a run folder, half-written ones too, and nothing else that may lie there."""
+    files = [file for view in VIEWS for file in (path / "views" / view).glob("*/*")]
+    return [file for file in files if _PICTURE.fullmatch(file.name) or file.match(TEMPORARY_PATTERN)]

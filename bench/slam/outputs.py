@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, wait
 from typing import Any
 
 import numpy as np
@@ -22,10 +24,14 @@ from bench.types import Float, Map, PinholeView, RenderedView, Trajectory
 
 log = logging.getLogger(__name__)
 
+# How many pictures may wait to be written: those of two views.
+_PICTURES_WAITING = 4
+
 
 def save_views(system: System, folder: RunFolder, done: Progress, step: Callable[[], None]) -> None:
     """Render every tracked frame from its final pose, left and (if the protocol asks) right, and save it.
 
+    Views that the folder has already are kept: it must hold none of another map. They are written beside the rendering.
     Views that the mapper can't show are left out; then the frames' rows say which there are, and why others are not.
     ``step`` is called after each.
     """
@@ -34,18 +40,44 @@ def save_views(system: System, folder: RunFolder, done: Progress, step: Callable
     cameras: list[View] = ["left", "right"] if system.protocol.right_view and system.dataset.has_right else ["left"]
     trajectory = system.tracker.trajectory()
     absent: dict[View, dict[int, str]] = {camera: {} for camera in cameras}
-    for number, T_world_cam in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
-        for camera in cameras:
-            try:
-                rendered = _rendered(system, camera, number, T_world_cam)
-            except CannotRenderError as error:
-                absent[camera][number] = str(error)
-            else:
-                folder.write_view(camera, number, rendered, _depth_to_save(rendered, system.protocol))
-            step()
+    # Networks that go by the frame before must see every one.
+    keep = not (system.mapper.needs_depth and system.stereo.temporal)
+    with _Writing() as writing:
+        for number, T_world_cam in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
+            for camera in cameras:
+                if keep and folder.has_view(camera, number):
+                    continue
+                try:
+                    rendered = _rendered(system, camera, number, T_world_cam)
+                except CannotRenderError as error:
+                    absent[camera][number] = str(error)
+                else:
+                    depth = _depth_to_save(rendered, system.protocol)
+                    writing.add(folder.begin_view(camera, number, rendered, depth))
+                step()
     if any(absent.values()):
         log.warning("views could not be rendered: %d left, %d right", *(len(absent.get(c, {})) for c in VIEWS))
         _note_absent(done.rows, set(trajectory.numbers.tolist()), absent)
+
+
+class _Writing:
+    """Pictures that are being written; those still waiting are written at the end of the block, also after an error."""
+
+    def __enter__(self) -> _Writing:
+        self._waiting: deque[Future[None]] = deque()
+        return self
+
+    def add(self, pictures: Iterable[Future[None]]) -> None:
+        """Wait until few are left; raises what went wrong with an earlier one."""
+        self._waiting += pictures
+        while len(self._waiting) > _PICTURES_WAITING:
+            self._waiting.popleft().result()
+
+    def __exit__(self, error: type[BaseException] | None, *rest: object) -> None:
+        wait(self._waiting)
+        if error is None:
+            for picture in self._waiting:
+                picture.result()
 
 
 def _note_absent(rows: list[dict[str, Any]], tracked: set[int], absent: dict[View, dict[int, str]]) -> None:
