@@ -1,4 +1,4 @@
-"""Keys of the disk cache: everything that a depth map or a sky mask depends on, as one hash."""
+"""Keys of the disk cache: everything that a depth map or a sky mask depends on, as a hash behind its sequence's."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from bench.cache.store import SEQUENCE_KEY
 from bench.code_version import code_version
 from bench.machine import what_computes
 from bench.registry import PluginConfig
@@ -50,18 +51,19 @@ class Identity:
             "sequence": sequence,
         }
         self._same_for_all = json.dumps(same_for_all, sort_keys=True, default=str).encode()
+        self._sequence = hashlib.sha256(self._same_for_all).hexdigest()[:SEQUENCE_KEY]
 
     def of_frame(self, frame: StereoFrame, camera: StereoCamera) -> str:
         """Key of a frame's depth, from its number, camera and every pixel of the pair: hexadecimal."""
         digest = self._begun(camera)
         digest.update(frame_identity(frame, with_time=False))
-        return digest.hexdigest()
+        return self._sequence + digest.hexdigest()
 
     def of_image(self, image: Image, depth: DepthMap, camera: StereoCamera) -> str:
         """Key of an image's sky mask, from every pixel of image, depth and confidence: hexadecimal."""
         digest = self._begun(camera)
         _feed(digest, image, depth.depth, depth.confidence)
-        return digest.hexdigest()
+        return self._sequence + digest.hexdigest()
 
     def _begun(self, camera: StereoCamera) -> hashlib._Hash:
         digest = hashlib.sha256(self._same_for_all)

@@ -23,8 +23,8 @@ class CacheConfig:
     folder: str = ""
     """Where it is; empty: frames/ in $BGS_CACHE, else in the user's cache folder."""
     limit_gb: float = 20.0
-    """How much it may hold, in GB of 1e9 bytes; what was not used for the longest time goes first (inf: no
-    limit)."""
+    """How much it may hold, in GB of 1e9 bytes (inf: no limit); sequences that no run reads at the moment go first, and
+    one that is larger keeps its first part."""
 
     def __post_init__(self) -> None:
         if not self.limit_gb > 0:

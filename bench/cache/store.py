@@ -26,9 +26,14 @@ KINDS: tuple[Kind, ...] = ("stereo", "sky", "tracker")
 
 _SUFFIX = ".entry"
 _LOCKS = "locks"
-# The size is checked when so much of the limit was written since the last look, and then brought below the second.
+# The size is checked when so much of the limit was written since the last look. What is left of other sequences is then
+# brought below the second.
 _CHECK_EACH = 0.05
 _TRIM_TO = 0.9
+# Characters of a key that say which sequence and plugin it is of: the folder that the entry lies in.
+SEQUENCE_KEY = 12
+# The clock of a file system may lag behind.
+_CLOCK_S = 0.05
 _MOST_BYTES = 4e9
 """Of one entry: depth and confidence of 100 megapixels, or the poses of a million frames, take less."""
 # A temporary file of a process that was killed; a living one writes for far less than this.
@@ -43,9 +48,19 @@ class File:
     size: int
     used: float
 
+    @property
+    def sequence(self) -> Path:
+        """Where the entries of the same sequence lie, by the same plugin with the same settings."""
+        return self.path.parent
+
 
 class CacheStore:
-    """Reads and writes entries. ``limit`` is in bytes; it may be passed by a twentieth per process that writes."""
+    """Reads and writes entries. ``limit`` is in bytes; it may be passed by a twentieth per process that writes.
+
+    Every run reads its sequence from the first frame to the last, so what was used last is what is needed last. Where
+    one sequence is larger than the limit, its first part stays and the rest is computed each time; removing what was
+    not used for the longest time would remove each entry just before it is needed.
+    """
 
     def __init__(self, folder: Path, limit: float) -> None:
         self.folder = folder
@@ -53,6 +68,8 @@ class CacheStore:
         self._limit = limit
         # What other processes left there is not known yet, so the first entry written makes it look.
         self._unchecked = limit
+        self._began = time.time() - _CLOCK_S
+        self._full = False
 
     def read(self, kind: Kind, plugin: str, key: str) -> Stored | None:
         """The entry, marked as just used, or None. A damaged one counts as missing, with a line in the log."""
@@ -82,12 +99,14 @@ class CacheStore:
         return content
 
     def write(self, kind: Kind, plugin: str, key: str, stored: Stored) -> None:
-        """Put the entry there, whole or not at all; old ones go when the limit is passed. ``OSError``, ``BenchError``
-        when the folder can't be written."""
+        """Put the entry there, whole or not at all; old ones go when the limit is passed, and where only those of this
+        run's sequence are left nothing more is kept. ``OSError``, ``BenchError`` when the folder can't be written."""
         self.write_content(kind, plugin, key, encode(stored))
 
     def write_content(self, kind: Kind, plugin: str, key: str, content: bytes) -> None:
         """As ``write``, for bytes of another format."""
+        if self._full:
+            return
         path = self._path(kind, plugin, key)
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as temporary:
@@ -97,22 +116,34 @@ class CacheStore:
             self.trim()
 
     def lock(self, key: str) -> AbstractContextManager[None]:
-        """For the process that computes this entry. One of 256 lock files by the key's first digits: their number stays
+        """For the process that computes this entry. One of 256 lock files by the key's last digits: their number stays
         bounded, and two keys seldom meet. ``OSError`` when the folder can't be written or knows no locks."""
-        return self._lock(key[:2])
+        return self._lock(key[-2:])
 
     def trim(self) -> None:
-        """Remove the entries that were not used for the longest time until the rest is well below the limit."""
+        """Bring the size below the limit: what is left of sequences that no run reads now goes first, oldest first;
+        then, of those that are read now, what this run has not come to yet, and at last the newest of what it has."""
         with self._lock("trim"):
-            entries = sorted(self.files(), key=lambda file: file.used)
+            entries = list(self.files())
             total = sum(file.size for file in entries)
             if total > self._limit:
-                for file in entries:
-                    if total <= _TRIM_TO * self._limit:
-                        break
-                    file.path.unlink(missing_ok=True)
-                    total -= file.size
+                read_now = {file.sequence for file in entries if file.used >= self._began}
+                left = [file for file in entries if file.sequence not in read_now]
+                own = [file for file in entries if file.sequence in read_now]
+                total -= _remove(sorted(left, key=lambda file: file.used), total - _TRIM_TO * self._limit)
+                # Newest first of each: what has just been used is needed again last.
+                own.sort(key=lambda file: (file.used >= self._began, -file.used))
+                waiting = sum(file.size for file in own if file.used < self._began)
+                self._full = total - waiting > self._limit
+                total -= _remove(own, total - self._limit)
                 log.info("cache: brought down to %.2f GB", total / 1e9)
+                if self._full:
+                    log.warning(
+                        "cache: this sequence is larger than cache.limit_gb=%g: %s keeps the first part of it, and the "
+                        "rest is computed each time. A larger limit keeps all.",
+                        self._limit / 1e9,
+                        self.folder,
+                    )
             self._remove_abandoned()
         self._unchecked = 0.0
 
@@ -145,11 +176,22 @@ class CacheStore:
                     path.unlink(missing_ok=True)
 
     def _path(self, kind: Kind, plugin: str, key: str) -> Path:
-        return self.folder / kind / re.sub(r"[^\w-]", "_", plugin) / key[:2] / f"{key}{_SUFFIX}"
+        return self.folder / kind / re.sub(r"[^\w-]", "_", plugin) / key[:SEQUENCE_KEY] / f"{key}{_SUFFIX}"
 
     def _lock(self, name: str) -> AbstractContextManager[None]:
         (self.folder / _LOCKS).mkdir(parents=True, exist_ok=True)
         return exclusive(self.folder / _LOCKS / name)
+
+
+def _remove(files: list[File], excess: float) -> int:
+    """Remove files in this order until so many bytes are gone, or all of them; returns how many bytes went."""
+    removed = 0
+    for file in files:
+        if removed >= excess:
+            break
+        file.path.unlink(missing_ok=True)
+        removed += file.size
+    return removed
 
 
 _looked_at: set[Path] = set()

@@ -42,6 +42,55 @@ def test_what_was_not_used_for_the_longest_time_goes_first(tmp_path: Path) -> No
     assert there(store, range(11)) == [1, 3, 4, 5, 6, 7, 8, 9, 10]
 
 
+def frame_key(sequence: str, frame: int) -> str:
+    return f"{sequence:0<12}{frame:064x}"
+
+
+def read_through(folder: Path, sequence: str, frames: range, limit: float) -> float:
+    """A run, days after what lies there: the share of its frames that came from the cache."""
+    for file in folder.rglob("*.entry"):
+        os.utime(file, (file.stat().st_mtime - 1e5,) * 2)
+    store, hits = CacheStore(folder, limit * SIZE), 0
+    for frame in frames:
+        if store.read("stereo", "net", frame_key(sequence, frame)) is not None:
+            hits += 1
+        else:
+            store.write("stereo", "net", frame_key(sequence, frame), MAP)
+    assert len(list(folder.rglob("*.entry"))) <= 1.05 * limit
+    return hits / len(frames)
+
+
+@pytest.fixture
+def unsynced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Waiting for the disk is most of what many small files take."""
+    monkeypatch.setattr("bench.io.atomic.os.fsync", lambda descriptor: None)
+
+
+@pytest.mark.usefixtures("unsynced")
+@pytest.mark.parametrize(("frames", "least"), [(36, 1.0), (50, 0.76), (120, 0.31)])
+def test_a_sequence_that_is_read_again_and_again_hits_as_much_as_fits(
+    tmp_path: Path, frames: int, least: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """At 0.9, 1.25 and 3 times the limit of 40 frames; another sequence filled the cache before and gives way."""
+    read_through(tmp_path, "b", range(40), limit=40)
+    assert read_through(tmp_path, "a", range(frames), limit=40) == 0.0
+    caplog.clear()
+    assert [read_through(tmp_path, "a", range(frames), limit=40) >= least for _ in range(3)] == [True] * 3
+    assert len(list(tmp_path.glob("stereo/net/b*/*"))) <= max(42 - frames, 0)
+    warned = [record.getMessage() for record in caplog.records if "larger than cache.limit_gb" in record.getMessage()]
+    assert len(warned) == (3 if frames > 40 else 0)  # once a run
+
+
+@pytest.mark.usefixtures("unsynced")
+def test_another_part_of_a_sequence_takes_the_place_of_what_is_not_read(tmp_path: Path) -> None:
+    read_through(tmp_path, "a", range(100), limit=40)
+    read_through(tmp_path, "a", range(1000, 1030), limit=40)
+    assert read_through(tmp_path, "a", range(1000, 1030), limit=40) == 1.0
+    # A part that begins before what is there costs no more than what it brings.
+    read_through(tmp_path, "a", range(980, 1030), limit=40)
+    assert [read_through(tmp_path, "a", range(980, 1030), limit=40) >= 0.76 for _ in range(2)] == [True] * 2
+
+
 def test_a_new_process_counts_what_others_left(tmp_path: Path) -> None:
     generous = CacheStore(tmp_path, limit=1e9)
     for number in range(10):
@@ -54,7 +103,7 @@ def test_a_new_process_counts_what_others_left(tmp_path: Path) -> None:
 def test_files_of_killed_writers_go_and_those_of_living_ones_stay(tmp_path: Path) -> None:
     store = CacheStore(tmp_path, limit=1e9)
     store.write("stereo", "net", key(0), MAP)
-    folder = tmp_path / "stereo" / "net" / "00"
+    folder = tmp_path / "stereo" / "net" / ("00" * 6)
     for name, seconds in ((".writing-1-0-dead.entry", 7200), (".writing-2-0-alive.entry", 10)):
         (folder / name).touch()
         os.utime(folder / name, (time.time() - seconds,) * 2)

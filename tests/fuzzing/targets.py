@@ -14,7 +14,7 @@ import torch
 
 from bench.cache.entry import Stored
 from bench.cache.recording import Recording
-from bench.cache.store import CacheStore
+from bench.cache.store import SEQUENCE_KEY, CacheStore
 from bench.cli import main
 from bench.contracts.dataset import Dataset
 from bench.external.output import read_output
@@ -199,7 +199,7 @@ def _file(name: str, make: Callable[[Path], object], read: Callable[[Path], obje
 
 
 def _in_cache_folder(kind: str) -> str:
-    return f"{kind}/net/{KEY[:2]}/{KEY}.entry"
+    return f"{kind}/net/{KEY[:SEQUENCE_KEY]}/{KEY}.entry"
 
 
 def _read_kitti(root: Path) -> None:
