@@ -8,13 +8,38 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from bench.evaluation.frame_states import stretches
 from bench.runs.checkpoint import Snapshot
 from bench.runs.events import tell
 from bench.runs.memory import PeakMemory
 from bench.types import Event, Float
+
+
+@dataclass
+class _Counted:
+    """What is told of the rows and events so far while the run goes on; each of them is looked at once."""
+
+    rows: int = 0
+    mapped: int = 0
+    lost: list[list[int]] = field(default_factory=list)
+    events: int = 0
+    texts: list[str] = field(default_factory=list)
+    blind: list[Event] = field(default_factory=list)
+
+    def look_at(self, rows: Sequence[dict[str, Any]], events: Sequence[Event]) -> None:
+        """The new ones of them."""
+        for at in range(self.rows, len(rows)):
+            number, lost = rows[at]["number"], rows[at]["state"] == "lost"
+            self.mapped += bool(rows[at]["mapped"])
+            if lost and at and rows[at - 1]["state"] == "lost":
+                self.lost[-1][1] = number
+            elif lost:
+                self.lost.append([number, number])
+        for at in range(self.events, len(events)):
+            if events[at].kind == "warning":
+                self.texts.append(str(events[at].values["text"]))
+            elif events[at].kind == "no_depth":
+                self.blind.append(events[at])
+        self.rows, self.events = len(rows), len(events)
 
 
 @dataclass
@@ -30,6 +55,7 @@ class Progress:
     started: float = field(default_factory=time.perf_counter)
     wall_s: float | None = None  # of the whole SLAM, before rendering for the evaluation
     before: Snapshot | None = None  # where a resumed run began
+    _counted: _Counted = field(default_factory=_Counted)
 
     def elapsed_s(self) -> float:
         """Wall time until now, that of a resumed run before its break included."""
@@ -52,13 +78,12 @@ class Progress:
 
     def warnings(self) -> list[str]:
         """What makes the run's numbers doubtful, a sentence each."""
-        found = [str(event.values["text"]) for event in self.events if event.kind == "warning"]
-        blind = [event for event in self.events if event.kind == "no_depth"]
-        if blind:
-            keyframes = sum(row["mapped"] for row in self.rows)
-            source, first = blind[0].values["source"], blind[0].frame
-            found.append(f"{source} knew no depth at all in {len(blind)} of {keyframes} keyframes, frame {first} first")
-        return found
+        counted = self._up_to_now()
+        if not counted.blind:
+            return list(counted.texts)
+        source, first = counted.blind[0].values["source"], counted.blind[0].frame
+        where = f"in {len(counted.blind)} of {counted.mapped} keyframes, frame {first} first"
+        return [*counted.texts, f"{source} knew no depth at all {where}"]
 
     def resume_from(self, snapshot: Snapshot) -> None:
         """Take over what was done before the break; the clock starts now."""
@@ -67,13 +92,16 @@ class Progress:
         self.seconds = dict(snapshot.seconds)
         self.psnr_db = snapshot.psnr_db
         self.keyframe_poses = {number: pose.numpy() for number, pose in snapshot.keyframe_poses.items()}
-        self.before = snapshot
+        self.before, self._counted = snapshot, _Counted()
         self.started = time.perf_counter()
 
     def lost_stretches(self) -> list[list[int]]:
         """[first, last] number of every stretch of frames without a pose."""
-        lost = np.array([row["state"] == "lost" for row in self.rows], dtype=bool)
-        return stretches([row["number"] for row in self.rows], lost)
+        return [list(stretch) for stretch in self._up_to_now().lost]
+
+    def _up_to_now(self) -> _Counted:
+        self._counted.look_at(self.rows, self.events)
+        return self._counted
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:

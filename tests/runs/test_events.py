@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bench.errors import BenchError
+from bench.evaluation.frame_states import stretches
 from bench.runs.events import check_events, in_words, read_events, write_events
 from bench.slam.progress import Progress
 from bench.types import Event
@@ -58,3 +60,32 @@ def test_warnings_of_a_run() -> None:
         "Sgbm knew no depth at all in 2 of 4 keyframes, frame 2 first",
     ]
     assert in_words(done.events[0]) == "It is dark."
+
+
+def test_what_is_told_of_a_long_run_looks_at_each_frame_once() -> None:
+    """Asked at odd moments the lost stretches are those of the evaluation, and asking again looks at nothing."""
+    looked: list[int] = []
+
+    class Rows(list[dict[str, Any]]):
+        def __getitem__(self, at: Any) -> Any:
+            looked.append(at)
+            return super().__getitem__(at)
+
+        def __iter__(self) -> Any:
+            looked.extend(range(len(self)))
+            return super().__iter__()
+
+    random = np.random.default_rng(0)
+    lost = random.random(300) < 0.4
+    done = Progress(rows=Rows())
+    for number, is_lost in enumerate(lost):
+        done.rows.append({"number": 2 * number, "state": "lost" if is_lost else "ok", "mapped": not is_lost})
+        if random.random() < 0.2:
+            assert done.lost_stretches() == stretches(range(0, 600, 2), lost[: number + 1])
+    done.note([Event("no_depth", 0, {"source": "Sgbm"})])
+    assert f"in 1 of {300 - lost.sum()} keyframes" in done.warnings()[0]
+    assert len(looked) < 6 * 300
+    looked.clear()
+    assert len(done.lost_stretches()) == len(stretches(range(600), lost))
+    assert done.warnings()
+    assert looked == []
