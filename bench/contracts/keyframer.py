@@ -26,7 +26,7 @@ class Keyframer(ABC):
     def state(self) -> dict[str, Any] | None:
         """All that deciding resumes from, for a checkpoint, as ``Tracker.state``; None (the default) = it has none.
 
-        Needed from tracker and keyframer alike where one of them ``uses_map``.
+        Where tracker and keyframer both give one, a run is resumed without repeating its frames.
         """
         return None
 

@@ -10,6 +10,7 @@ from typing import Any
 from bench.contracts.loss import LossTerm
 from bench.contracts.map_view import MapView
 from bench.errors import BenchError
+from bench.io.array_store import ArrayStore
 from bench.runs.memory import MemoryBudget
 from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
 
@@ -65,6 +66,11 @@ class Mapper(ABC):
         self.finish()
         yield None
 
+    def use_store(self, store: ArrayStore) -> None:  # noqa: B027 - small maps need none
+        """Where large pieces that never change may lie, so that neither memory nor a checkpoint need hold them; called
+        once, after ``start`` and before the first keyframe. ``state`` names, as ``"stored"``, the sets of the store
+        that it builds on; others that were there are removed when the checkpoint has been written."""
+
     def state(self) -> dict[str, Any] | None:
         """All that learning resumes from, for a checkpoint: CPU tensors, numbers, text, and lists and dicts of them.
 
@@ -76,8 +82,9 @@ class Mapper(ABC):
     def restore(self, state: dict[str, Any], keyframes: Iterable[Keyframe]) -> None:
         """Resume from what ``state`` gave: what follows must be the same to the bit as without the break.
 
-        Called after ``start``. ``keyframes`` are those that ``add_keyframe`` was given until then, in order, each with
-        the pose that it had when it came; they are made anew one by one as they are asked for.
+        Called after ``start`` and ``use_store``. ``keyframes`` are those that ``add_keyframe`` was given until then, in
+        order, each with the pose that it had when it came; they are made anew one by one as they are asked for, with
+        their depth and sky. Whoever needs none asks for none.
         """
         raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to resume from it")
 

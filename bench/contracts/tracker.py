@@ -7,6 +7,7 @@ from typing import Any
 
 from bench.contracts.dataset import Dataset
 from bench.contracts.map_view import MapView
+from bench.io.array_store import ArrayStore
 from bench.types import StereoFrame, TrackingResult, Trajectory
 
 
@@ -43,14 +44,20 @@ class Tracker(ABC):
         Asking changes nothing, however often it is done.
         """
 
+    def use_store(self, store: ArrayStore) -> None:  # noqa: B027 - few have so much that it matters
+        """Where large pieces that never change may lie, so that a checkpoint need not hold them; called once, after
+        ``start`` and before the first frame. ``state`` names, as ``"stored"``, the sets of the store that it builds on;
+        others that were there when it was asked for are removed when the checkpoint has been written."""
+
     def state(self) -> dict[str, Any] | None:
         """All that tracking resumes from, for a checkpoint: CPU tensors, numbers, text, and lists and dicts of them.
 
-        Needed by those that ``uses_map``, whose frames can't be tracked again without the map of then; the frames of
-        others are tracked again. None (the default): runs with such a tracker begin anew after a kill.
+        Asked for between two frames; what it gives must not change when tracking goes on. None (the default): the
+        frames are tracked again after a kill, and runs with one that ``uses_map`` begin anew, since the map of then is
+        gone.
         """
         return None
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Resume from what ``state`` gave, to the same bits; called after ``start`` and ``use_map``."""
+        """Resume from what ``state`` gave, to the same bits; called after ``start``, ``use_map`` and ``use_store``."""
         raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to resume from it")

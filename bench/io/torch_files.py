@@ -5,8 +5,11 @@ from __future__ import annotations
 import tarfile
 import warnings
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bench.io.foreign import open_plain
 
@@ -33,6 +36,26 @@ def load_tensors(path: Path) -> Any:
         # About layouts that torch means to change; nothing that its reader can act on.
         warnings.simplefilter("ignore")
         return torch.load(path, map_location="cpu", weights_only=True)
+
+
+def to_state(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with numpy arrays as tensors of their own, for a ``state()``; what is no array stays."""
+    import torch
+
+    arrays = (np.ndarray, np.generic)
+    return {k: torch.from_numpy(_signed(np.array(v))) if isinstance(v, arrays) else v for k, v in values.items()}
+
+
+def from_state(values: Mapping[str, Any]) -> dict[str, Any]:
+    """What ``to_state`` was given, but for uint64, which comes back as int64 with the same bits."""
+    import torch
+
+    return {key: value.numpy() if isinstance(value, torch.Tensor) else value for key, value in values.items()}
+
+
+def _signed(array: Any) -> Any:
+    """Tensors of uint64 can do too little."""
+    return array.view(np.int64) if array.dtype == np.uint64 else array
 
 
 def _require_stored(size: int, archive: zipfile.ZipFile) -> None:

@@ -6,8 +6,8 @@ Unless a part of it looks at the map, it may run ahead of mapping in a thread of
 from __future__ import annotations
 
 import time
-from collections.abc import Generator
-from dataclasses import dataclass
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,21 +22,33 @@ from bench.slam.system import System
 from bench.tracking.pair_check import PairCheck
 from bench.types import Event, Float, Keyframe, StereoFrame, TrackingResult, Trajectory
 
+TakeStates = Callable[[PairCheck], dict[str, Any] | None]
+"""Asked after each frame: what a checkpoint there keeps of the front end, or None where none is due."""
+
 
 @dataclass(frozen=True)
 class Seen:
-    """What the front end says about one frame; ``keyframe`` and the poses of that moment for a keyframe only."""
+    """What the front end says about one frame; ``keyframe`` and the poses of that moment for a keyframe only.
+
+    ``states``: what the checkpoint that is due after this frame keeps of the front end; None = none is due.
+    """
 
     row: dict[str, Any]
     events: tuple[Event, ...]
     keyframe: Keyframe | None = None
     window: tuple[int, ...] = ()
     trajectory: Trajectory | None = None
+    states: dict[str, Any] | None = None
 
 
-def front_end(system: System, first: int = 0) -> Generator[Seen, None, None]:
+def front_end(system: System, check: PairCheck, take: TakeStates, first: int = 0) -> Generator[Seen, None, None]:
     """Tracking, keyframing, stereo and sky of every frame from position ``first`` on, in order."""
-    check = PairCheck(system.dataset, first)
+    for seen in _frames(system, check, first):
+        states = take(check)
+        yield seen if states is None else replace(seen, states=states)
+
+
+def _frames(system: System, check: PairCheck, first: int) -> Generator[Seen, None, None]:
     doubts = [*system.dataset.to_tell(), check.about_camera()] if first == 0 else []
     for position, frame, checksum in prefetch(system.dataset, first):
         doubts.append(check.look(position, frame))

@@ -50,8 +50,8 @@ class Progress:
     seconds: dict[str, float] = field(default_factory=lambda: {"tracking": 0.0, "stereo": 0.0, "mapping": 0.0})
     events: list[Event] = field(default_factory=list)
     psnr_db: float = float("nan")
-    keyframe_poses: dict[int, Float] = field(default_factory=dict)
-    """The pose (4, 4) that each mapped keyframe had when it came; of runs that go in step with the map only."""
+    keyframe_poses: list[Float] = field(default_factory=list)
+    """The pose (4, 4) that each mapped keyframe had when it came, in order."""
     started: float = field(default_factory=time.perf_counter)
     wall_s: float | None = None  # of the whole SLAM, before rendering for the evaluation
     before: Snapshot | None = None  # where a resumed run began
@@ -88,10 +88,10 @@ class Progress:
     def resume_from(self, snapshot: Snapshot) -> None:
         """Take over what was done before the break; the clock starts now."""
         self.rows = list(snapshot.rows)
-        self.events = [Event(**event) for event in snapshot.events]
+        self.events = list(snapshot.events)
         self.seconds = dict(snapshot.seconds)
         self.psnr_db = snapshot.psnr_db
-        self.keyframe_poses = {number: pose.numpy() for number, pose in snapshot.keyframe_poses.items()}
+        self.keyframe_poses = list(snapshot.keyframe_poses)
         self.before, self._counted = snapshot, _Counted()
         self.started = time.perf_counter()
 

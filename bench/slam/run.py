@@ -26,12 +26,13 @@ from bench.runs.memory import PeakMemory
 from bench.runs.provenance import collect_provenance
 from bench.runs.status import RunStatus
 from bench.runs.watchdog import TimeLimitError, Watchdog, stacks_of_threads
-from bench.slam.checkpointing import ReplayDiffersError, resume, snapshot_of
+from bench.slam.checkpointing import CannotResumeError, repeat, restore, snapshot_of, states_of_front_end
 from bench.slam.front_end import Seen, front_end
 from bench.slam.outputs import save_outputs, save_views
 from bench.slam.prefetch import in_background
 from bench.slam.progress import Progress
 from bench.slam.system import System, fingerprint_of
+from bench.tracking.pair_check import PairCheck
 from bench.types import Event
 
 log = logging.getLogger(__name__)
@@ -111,8 +112,8 @@ class _Run:
         snapshot = self.checkpoints.load()
         try:
             self._map_frames(snapshot)
-        except ReplayDiffersError as error:
-            log.warning("%s; the run begins anew. Is a plugin not deterministic?", error)
+        except CannotResumeError as error:
+            log.warning("the run begins anew: %s", error)
             self.checkpoints.remove()
             self.finish_tracking()
             self.system, self.done, self._tracking = System.build(self.config), Progress(), True
@@ -155,16 +156,25 @@ class _Run:
         values = self.config.values
         torch.manual_seed(values["seed"])
         provenance = collect_provenance(values, values["seed"], self.system.weights())
-        first = len(snapshot.rows) if snapshot is not None and self.system.in_step else 0
-        frames = front_end(self.system, first)
+        self.system.mapper.use_store(self.checkpoints.stores["mapper"])
+        self.system.tracker.use_store(self.checkpoints.stores["tracker"])
+        check, first = PairCheck(self.system.dataset), 0
+        if snapshot is not None:
+            log.info("resumed from the checkpoint after frame %d of %d", len(snapshot.rows), self.total)
+            if snapshot.seeing:
+                restore(self.system, snapshot, check, self._repeated)
+                first = len(snapshot.rows)
+        frames = front_end(
+            self.system, check, lambda pairs: states_of_front_end(self.system, self.checkpoints, pairs), first
+        )
         if self.system.in_step:
             log.info("pipeline: in step, one frame at a time, since tracker or keyframer look at the map")
         ahead = values["pipeline"] == "parallel" and not self.system.in_step
         # Closed at once when mapping fails: the front end must not go on while what was done is being saved.
         with closing(in_background(frames, FRAMES_AHEAD, "bgs-front-end") if ahead else frames) as stream:
             if snapshot is not None:
-                log.info("resumed from the checkpoint after frame %d of %d", len(snapshot.rows), self.total)
-                resume(self.system, snapshot, stream, self._repeated)
+                if not snapshot.seeing:
+                    repeat(self.system, snapshot, stream, self._repeated)
                 self.done.resume_from(snapshot)
                 self.folder.warnings = self.done.warnings()
             resumed = {"resumed_after_frames": self.done.resumed_after()}
@@ -172,6 +182,8 @@ class _Run:
             for seen in stream:
                 self._take(seen)
                 self._after_a_step("mapping")
+                if seen.states is not None:
+                    self._write_checkpoint(seen.states)
                 if self.progress is not None:
                     self.progress(len(self.done.rows), self.total, self.done.psnr_db)
 
@@ -185,8 +197,7 @@ class _Run:
             done.note([Event("lost", row["number"])])
         mapping_before = done.seconds["mapping"]
         if seen.keyframe is not None:
-            if self.system.in_step:
-                done.keyframe_poses[row["number"]] = seen.keyframe.T_world_cam.copy()
+            done.keyframe_poses.append(seen.keyframe.T_world_cam.copy())
             row |= _map_keyframe(self.system, done, seen)
         row["mapping_s"] = done.seconds["mapping"] - mapping_before
         done.rows.append(row)
@@ -212,6 +223,8 @@ class _Run:
                 return
             _note_of_mapper(self.system, self.done, events or ())
             self._after_a_step("last optimisation")
+            if self.checkpoints.due():
+                self._write_checkpoint(None)
 
     def _repeated(self, frames: int) -> None:
         """What is due when another frame before the break is done again."""
@@ -223,7 +236,12 @@ class _Run:
         """What is due between two steps of mapping."""
         self.watchdog.step()
         self._tell(stage)
-        self.checkpoints.if_due(lambda: snapshot_of(self.system, self.done, self.memory))
+
+    def _write_checkpoint(self, seeing: dict[str, Any] | None) -> None:
+        """``seeing`` is what the front end gave after the newest frame; None once all are tracked."""
+        snapshot = snapshot_of(self.system, self.done, self.memory, self.checkpoints, seeing)
+        if snapshot is not None:
+            self.checkpoints.write(snapshot)
 
     def _tell(self, stage: str, now: bool = False) -> None:
         if now:

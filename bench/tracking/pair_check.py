@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.io.images import grey
+from bench.io.torch_files import from_state, to_state
 from bench.tracking.features import Features, OrbExtractor
 from bench.tracking.relocalise import match_descriptors
 from bench.types import Float, StereoCamera, StereoFrame
@@ -198,17 +200,14 @@ def _robust_fit(design: Float, values: Float) -> Float:
 
 
 class PairCheck:
-    """Looks at frames of a run, the first ones and now and then a later one, and tells of a fault once.
+    """Looks at frames of a run, the first ones and now and then a later one, and tells of a fault once."""
 
-    ``first`` is the position where a run is resumed: what the frames before it are was told then.
-    """
-
-    def __init__(self, dataset: Dataset, first: int = 0) -> None:
+    def __init__(self, dataset: Dataset) -> None:
         self._dataset = dataset
         self._extractor = OrbExtractor(_FEATURES)
         self._parts: list[PairMatches] = []
         self._before: tuple[int, Features] | None = None
-        self._wanted = _FIRST if first == 0 else _LATER
+        self._wanted = _FIRST
         self._told = False
 
     def about_camera(self) -> str | None:
@@ -240,3 +239,19 @@ class PairCheck:
         fault = fault_of_pair(seen, camera)
         self._told = fault is not None
         return fault
+
+    def state(self) -> dict[str, Any]:
+        """What looking goes on from, for a checkpoint."""
+        return {
+            "parts": [to_state(vars(part)) for part in self._parts],
+            "before": None if self._before is None else (self._before[0], to_state(vars(self._before[1]))),
+            "wanted": self._wanted,
+            "told": self._told,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``."""
+        self._parts = [PairMatches(**from_state(part)) for part in state["parts"]]
+        before = state["before"]
+        self._before = None if before is None else (before[0], Features(**from_state(before[1])))
+        self._wanted, self._told = state["wanted"], state["told"]

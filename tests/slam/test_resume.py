@@ -193,9 +193,10 @@ def test_times_and_memory_of_both_parts_count(tmp_path: Path, monkeypatch: pytes
     folder = tmp_path / "run"
     killed_run(folder, monkeypatch, 4)
     told = json.loads(torch.load(folder / CHECKPOINT_FOLDER / "state.pt", weights_only=True)["told"])
+    rows = [json.loads(line) for line in (folder / CHECKPOINT_FOLDER / "rows.jsonl").read_text().splitlines()]
     run(folder)
     frames = pd.read_csv(folder / "frames.csv")
-    assert frames["tracking_s"][:4].tolist() == [row["tracking_s"] for row in told["rows"]]
+    assert frames["tracking_s"][:4].tolist() == [row["tracking_s"] for row in rows]
     resources = json.loads((folder / "resources.json").read_text())
     for stage in ("tracking", "stereo"):
         assert resources[f"{stage}_s_per_frame"] * 6 == pytest.approx(frames[f"{stage}_s"].sum())
