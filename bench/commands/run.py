@@ -32,7 +32,9 @@ from bench.runs.lock import only_one
 from bench.runs.status import read_status, without_scores
 from bench.runs.watchdog import Watchdog
 from bench.saved_config import overrides_of
+from bench.slam.needs import Needs
 from bench.slam.run import run_system
+from bench.slam.system import System
 from bench.sweeps.combinations import plan_combinations, require_writable
 from bench.sweeps.experiment import table_experiments
 from bench.sweeps.launchers.choice import LauncherChoice, count_of_jobs, split_launcher
@@ -145,7 +147,12 @@ def _run_alone(config: RunConfig, console: Console) -> Path:
             note = f"{psnr_db:.2f} dB" if psnr_db == psnr_db else ""
             bar.update(frames, completed=done, total=total, note=note, visible=True)
 
-        folder = run_system(config, show, watchdog)
+        def foresee(system: System) -> None:
+            known = read_status(config.output)
+            if config.values["rerun"] or known is None or not known.is_complete:
+                say(Needs.of(system, config).line(), bar.console)
+
+        folder = run_system(config, show, watchdog, foresee)
         if folder.already_done:
             note = "already done; rerun=true runs it again"
             bar.update(frames, total=1, completed=1, note=note, visible=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.contracts.loss import LossTerm
 from bench.contracts.map_view import MapView
@@ -17,6 +17,15 @@ from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, 
 
 class CannotRenderError(BenchError):
     """A view that a map can't show, with the reason: it is left out of the scores, and the run goes on."""
+
+
+class MapNeeds(NamedTuple):
+    """About what a run's map takes: bytes of ``map_file``, bytes that its checkpoint and store have at most, and the
+    memory of the whole run in GB of 1e9 bytes."""
+
+    map_bytes: float
+    checkpoint_bytes: float
+    memory_gb: float
 
 
 class Mapper(ABC):
@@ -40,6 +49,11 @@ class Mapper(ABC):
     def use_memory_budget(self, budget: MemoryBudget) -> None:  # noqa: B027 - most mappers have nothing on disk
         """Called once after ``start``: what ``limits.memory_gb`` leaves. A mapper that can read parts of its map again
         from disk keeps fewer of them in memory when little is left; its results must not depend on it."""
+
+    def needs(self, frames: int) -> MapNeeds | None:
+        """Roughly what a run of so many frames will need, to be said before it begins; None (the default): it can't
+        tell. Asked for after ``start``."""
+        return None
 
     @abstractmethod
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:

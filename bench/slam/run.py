@@ -46,7 +46,16 @@ _END: Any = object()
 Tell = Callable[[int, int, float], None]
 
 
-def run_system(config: RunConfig, progress: Tell | None = None, watchdog: Watchdog | None = None) -> RunFolder:
+# Called with the parts of a run that is about to begin, before anything is written.
+Foresee = Callable[[System], None]
+
+
+def run_system(
+    config: RunConfig,
+    progress: Tell | None = None,
+    watchdog: Watchdog | None = None,
+    foresee: Foresee | None = None,
+) -> RunFolder:
     """Run the configured system and save the run; returns its folder.
 
     A run that was stopped or killed is resumed from its last checkpoint (``resume``), if nothing that its result
@@ -56,12 +65,14 @@ def run_system(config: RunConfig, progress: Tell | None = None, watchdog: Watchd
     """
     watchdog = watchdog or Watchdog(config.limits)
     with watchdog.watching():
-        return _run_system(config, progress, watchdog)
+        return _run_system(config, progress, watchdog, foresee)
 
 
-def _run_system(config: RunConfig, progress: Tell | None, watchdog: Watchdog) -> RunFolder:
+def _run_system(config: RunConfig, progress: Tell | None, watchdog: Watchdog, foresee: Foresee | None) -> RunFolder:
     values = config.values
     system = System.build(config)
+    if foresee is not None:
+        foresee(system)
     resuming = values["resume"] and not values["rerun"]
     folder = RunFolder.create(
         config.output, values, config.hash, values["rerun"], keep_log=resuming, map_file=system.mapper.map_file

@@ -15,13 +15,14 @@ import torch
 from bench import registry
 from bench.contracts.loss import LossTerm, NotFiniteError
 from bench.contracts.map_view import MapView
-from bench.contracts.mapper import Mapper
+from bench.contracts.mapper import MapNeeds, Mapper
 from bench.contracts.rasterizer import Rasterizer
 from bench.errors import BenchError
 from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.map import GaussianMap
 from bench.gaussians.map_view import GaussianMapView, as_arrays
 from bench.gaussians.mapping_config import GaussianMapperConfig
+from bench.gaussians.needs import map_needs
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
 from bench.gaussians.pose_refinement import PoseRefinement
 from bench.gaussians.schema import OPACITY_LOGIT
@@ -177,6 +178,9 @@ class GaussianMapper(Mapper):
 
     def save(self, path: Path) -> None:
         self._map.save(path)
+
+    def needs(self, frames: int) -> MapNeeds:
+        return map_needs(self._camera.width * self._camera.height, frames, self.config.sh_degree)
 
     def _let_go(self, window: Sequence[int]) -> None:
         """Forget what is beyond ``replayed_keyframes``: the keyframe whose neighbours are closest in frame numbers."""

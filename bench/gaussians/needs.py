@@ -1,0 +1,34 @@
+"""What a Gaussian map will take, from the images' size and the number of frames."""
+
+from __future__ import annotations
+
+from bench.contracts.mapper import MapNeeds
+from bench.gaussians.schema import planes_of
+
+# Gaussians for each pixel of an image: of the first frames, and of every frame on (KITTI 06; the street has fewer).
+_FIRST, _EACH = 0.36, 0.0215
+# Keyframes that learn at the same time.
+_LIVE = 60
+_FLOAT = 4
+# PLY has three normals besides; a checkpoint has Adam's two moments.
+_NORMALS, _MOMENTS = 3, 2
+# Of a keyframe on disk, for each pixel: image as PNG, depth as float16, sky as a bit.
+_KEYFRAME_BYTES = 3.5
+# The program with what it imports; what learning holds for each pixel.
+_PROGRAM_GB, _PIXEL_BYTES = 0.45, 5500.0
+
+
+def map_needs(pixels: int, frames: int, sh_degree: int) -> MapNeeds:
+    """For images of so many pixels, with every frame a keyframe."""
+    planes = planes_of(sh_degree)
+
+    def gaussians(count: int) -> float:
+        return pixels * (_FIRST + _EACH * count)
+
+    live = gaussians(min(frames, _LIVE))
+    checkpoint = gaussians(frames) * planes * _FLOAT + live * planes * _FLOAT * _MOMENTS
+    return MapNeeds(
+        map_bytes=gaussians(frames) * (planes + _NORMALS) * _FLOAT,
+        checkpoint_bytes=checkpoint + frames * pixels * _KEYFRAME_BYTES,
+        memory_gb=_PROGRAM_GB + pixels * _PIXEL_BYTES / 1e9,
+    )
