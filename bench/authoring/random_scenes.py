@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,6 +91,7 @@ def relative_l2(value: Tensor, truth: Tensor) -> float:
 def render_and_back(
     rasterizer: Rasterizer, planes: Tensor, view: PinholeView, grads: tuple[Tensor, Tensor, Tensor], pose: bool = True
 ) -> tuple[Rendered, Gradients]:
-    """One forward and one backward pass."""
+    """One forward and one backward pass; gradients are zero where nothing was touched."""
     rendered = rasterizer.render(planes, view)
-    return rendered, rasterizer.backward(rendered, *grads, pose=pose)
+    gradients = rasterizer.backward(rendered, *grads, pose=pose)
+    return rendered, replace(gradients, planes=gradients.dense())

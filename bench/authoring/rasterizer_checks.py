@@ -135,7 +135,10 @@ def _gradients(subject: Subject) -> str:
 def _gradient_error(subject: Subject, spec: SceneSpec) -> float:
     planes, view = random_scene(spec)
     _, found = subject.both_ways(planes, view)
-    if not isinstance(found, Gradients) or tuple(found.planes.shape) != tuple(planes.shape) or found.twist is None:
+    shapes = {"planes": tuple(planes.shape), "touched": (spec.count,), "twist": (6,)}
+    if not isinstance(found, Gradients) or any(
+        tuple(getattr(getattr(found, name), "shape", ())) != shape for name, shape in shapes.items()
+    ):
         raise ContractBrokenError(
             f"backward() gave {type(found).__name__} of other shapes",
             f"Gradients: planes {tuple(planes.shape)}, touched ({spec.count},) bool, twist (6,) when pose is True",
@@ -144,7 +147,8 @@ def _gradient_error(subject: Subject, spec: SceneSpec) -> float:
         )
     double = tuple(grad.double() for grad in image_gradients(view, 1))
     _, true = render_and_back(subject.reference, planes.double(), view, double)  # type: ignore[arg-type]
-    errors = {group: relative_l2(found.planes[rows].cpu(), true.planes[rows]) for group, rows in GROUPS.items()}
+    errors = {group: relative_l2(found.dense()[rows].cpu(), true.planes[rows]) for group, rows in GROUPS.items()}
+    assert found.twist is not None
     assert true.twist is not None
     errors["twist"] = relative_l2(found.twist.cpu(), true.twist)
     name = max(errors, key=lambda group: errors[group])
@@ -204,7 +208,7 @@ def _nothing_to_see(subject: Subject) -> str:
     for planes in (torch.zeros(planes_of(0), 0), behind):
         rendered, grads = subject.both_ways(planes, view)
         largest = max(float(getattr(rendered, name).abs().max()) for name in _IMAGES)
-        if largest > 0 or float(grads.planes.abs().sum()) > 0:
+        if largest > 0 or float(grads.dense().abs().sum()) > 0:
             raise ContractBrokenError(
                 f"with {planes.shape[1]} Gaussians, none in view, something is drawn or has a gradient",
                 "black images, alpha 0, zero gradients",
@@ -226,7 +230,7 @@ def _repeats(subject: Subject) -> str | Note:
         raise ContractBrokenError(
             "two renders differ", "the same bits", "blend in a fixed order, without atomics", "render"
         )
-    if not torch.equal(by_first.planes, by_second.planes):
+    if not torch.equal(by_first.dense(), by_second.dense()):
         return Note("images are the same bits twice, gradients are not (atomics?): maps can't be repeated to the bit")
     quick = subject.render(planes, view, differentiable=False)
     if not torch.equal(quick.color, first.color):

@@ -32,11 +32,18 @@ class Rendered:
 @dataclass
 class Gradients:
     """Gradients of a scalar loss: ``planes`` (P, N) like the parameters, ``touched`` (N,) bool = visible in this view,
-    ``twist`` (6,) float64 of the left perturbation p_cam -> exp(twist) p_cam (translation, rotation), or None."""
+    ``twist`` (6,) float64 of the left perturbation p_cam -> exp(twist) p_cam (translation, rotation), or None.
+
+    Columns of ``planes`` that were not touched may hold anything: most of a large map lies outside a view.
+    """
 
     planes: Tensor
     touched: Tensor
     twist: Tensor | None
+
+    def dense(self) -> Tensor:
+        """A copy (P, N) of the gradients, zero where nothing was touched."""
+        return torch.where(self.touched, self.planes, 0.0)
 
 
 @dataclass
@@ -71,7 +78,10 @@ class Rasterizer(ABC):
         grad_alpha: Tensor | None,
         pose: bool = False,
     ) -> Gradients:
-        """Gradients of a loss from its gradients by the three images (None = zero). Once a render."""
+        """Gradients of a loss from its gradients by the three images (None = zero). Once a render.
+
+        They may lie in memory that the next call writes again: use them before, or keep ``dense()``.
+        """
 
     def observe(self, planes: Tensor, view: PinholeView) -> Observation:
         """Which of the (P, N) parameters a view sees, and how far; ``BenchError`` where a rasterizer can't tell."""

@@ -15,7 +15,8 @@ constexpr int TILE_W = 32, TILE_H = 16;
 constexpr int SLOT = 10;                        // sums a Gaussian collects in a tile: 6 moments, 3 colours, depth
 constexpr int LOSS_BAND = 32;                   // rows of one task of a loss term on depth
 constexpr float ALPHA_FLOOR = 1e-6f;            // depth / alpha divides by at least this
-constexpr int CHUNK = 2048;                     // Gaussians of one projection task; a multiple of 8
+constexpr int CHUNK = 2048;                     // Gaussians of one projection task; a multiple of 512
+constexpr int GROUP_WORDS = CHUNK / 8 / 64;     // of 64 bits, one for eight Gaussians, to mark what a chunk has in view
 
 struct View {
     float R[9], t[3], center[3];  // of world to camera; the camera's centre in the world
@@ -43,14 +44,25 @@ struct alignas(64) Record {
 };
 static_assert(sizeof(Record) == 64, "a record is one cache line");
 
+struct CullArgs {
+    const float* planes;
+    size_t stride;
+    int count;
+    View view;
+    uint64_t* groups;        // GROUP_WORDS a chunk: the groups of eight Gaussians of which the view may show one
+    int* candidates;         // of each chunk: at most that many are visible
+};
+
 struct ProjectArgs {
     const float* planes;
     size_t stride;
     int count, degree;       // of the spherical harmonics
     View view;
-    Record* records;         // chunk k writes from k * CHUNK on; a record's place never changes
+    const uint64_t* groups;  // what cull() left, and from where on each chunk writes
+    const int* first_record;
+    Record* records;
     TileBox* boxes;          // of each record: binning walks them out of order, and these fit the cache
-    int32_t* place;          // of each Gaussian's record, -1 if it is not visible
+    int32_t* place;          // of each Gaussian's record, -1 if it is not visible; not written for a chunk without records
     int* chunk_counts;       // how many records chunk k wrote
     uint32_t* chunk_slots;   // how many (Gaussian, tile) pairs they have; record.slot counts from the chunk's first
 };
@@ -84,10 +96,11 @@ struct ProjectBackwardArgs {
     int count, degree;
     View view;
     const Record* records;
+    const int* chunk_starts;  // chunks + 1: how many are visible before each chunk
     const int32_t* place;  // of each Gaussian's record, -1 if not visible
     const float* slots;
     const uint32_t* first_slot;  // of each chunk
-    float* grads;          // planes like the parameters
+    float* grads;          // planes like the parameters; written for groups of eight with a visible one
     size_t grads_stride;
     bool* touched;         // per Gaussian: whether it was visible
     double* pose;          // per chunk 6 sums (translation, rotation), or null
@@ -158,6 +171,7 @@ struct AdamArgs {
 
 struct KernelTable {
     const char* name;
+    void (*cull)(const CullArgs&, int chunk);
     void (*project)(const ProjectArgs&, int chunk);
     void (*raster_forward)(const RasterArgs&, int tile);
     void (*raster_backward)(const RasterBackwardArgs&, int tile);

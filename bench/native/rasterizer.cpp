@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
+#include <numeric>
+#include <utility>
 #include <vector>
 
 namespace bgs {
@@ -14,7 +16,15 @@ void Workspace::project(const float* planes, size_t stride, int count, int degre
     tiles_x_ = (view.width + TILE_W - 1) / TILE_W, tiles_y_ = (view.height + TILE_H - 1) / TILE_H;
     const int chunks = (count + CHUNK - 1) / CHUNK;
     const KernelTable& k = kernels();
-    const ProjectArgs project{planes, stride, count, degree, view, records_.reserve(static_cast<size_t>(count)), boxes_.reserve(static_cast<size_t>(count)), place_.reserve(static_cast<size_t>(count)),
+    uint64_t* groups = groups_.reserve(static_cast<size_t>(chunks) * GROUP_WORDS);
+    int* first_record = first_record_.reserve(static_cast<size_t>(chunks) + 1);
+    const CullArgs cull{planes, stride, count, view, groups, first_record};
+    pool().run(chunks, [&](int chunk) { k.cull(cull, chunk); });
+    int candidates = 0;
+    for (int c = 0; c < chunks; ++c) candidates += std::exchange(first_record[c], candidates);
+    first_record[chunks] = candidates;
+    const auto most = static_cast<size_t>(candidates);
+    const ProjectArgs project{planes, stride, count, degree, view, groups, first_record, records_.reserve(most), boxes_.reserve(most), place_.reserve(static_cast<size_t>(count)),
                               chunk_counts_.reserve(static_cast<size_t>(chunks) + 1), first_slot_.reserve(static_cast<size_t>(chunks) + 1)};
     pool().run(chunks, [&](int chunk) { k.project(project, chunk); });
     sort_by_depth(chunks);
@@ -38,12 +48,16 @@ void Workspace::observe(const float* planes, size_t stride, int count, int degre
     int* slots = reinterpret_cast<int*>(slots_.reserve(slots_used_));
     const ObserveArgs args{raster_args(), slots, first_slot_.data(), median_depth};
     pool().run(tiles_x_ * tiles_y_, [&](int tile) { kernels().raster_observe(args, tile); });
+    std::fill(pixels, pixels + count, 0);
+    const int* starts = chunk_counts_.data();
     for (int i = 0; i < count; ++i) {
-        pixels[i] = 0;
-        if (place_.data()[i] < 0) continue;
-        const Record& r = records_.data()[place_.data()[i]];
-        const int* mine = slots + first_slot_.data()[r.chunk] + r.slot;
-        for (int tile = 0; tile < r.box.tiles(); ++tile) pixels[i] += mine[tile];
+        const int chunk = i / CHUNK;
+        if (starts[chunk] == starts[chunk + 1]) i = (chunk + 1) * CHUNK - 1;
+        else if (place_.data()[i] >= 0) {
+            const Record& r = records_.data()[place_.data()[i]];
+            const int* mine = slots + first_slot_.data()[r.chunk] + r.slot;
+            pixels[i] = std::accumulate(mine, mine + r.box.tiles(), 0);
+        }
     }
 }
 
@@ -67,10 +81,11 @@ void Workspace::sort_by_depth(int chunks) {
     static_assert(sizeof(uint32_t) == sizeof(float), "the sort borrows a buffer of floats");
     uint32_t *keys = reinterpret_cast<uint32_t*>(slots_.reserve(4 * n)), *keys_other = keys + n, *order = keys_other + n, *order_other = order + n;
     pool().run(chunks, [&](int c) {
-        const Record* from = records_.data() + static_cast<size_t>(c) * CHUNK;
+        const auto first = static_cast<uint32_t>(first_record_.data()[c]);
+        const Record* from = records_.data() + first;
         for (int j = 0, at = starts[c]; at < starts[c + 1]; ++j, ++at) {
             std::memcpy(&keys[at], &from[j].depth, sizeof(uint32_t));  // the bits of a positive float sort like the float
-            order[at] = static_cast<uint32_t>(c * CHUNK + j);
+            order[at] = first + static_cast<uint32_t>(j);
         }
     });
     // Each part of the threads counts and then places its own stretch; the parts' buckets follow one another.
@@ -152,7 +167,7 @@ void Workspace::backward(const float* planes, size_t stride, const float* grad_c
     pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_backward(raster, tile); });
     const int chunks = (count_ + CHUNK - 1) / CHUNK;
     double* sums = pose == nullptr ? nullptr : pose_.reserve(static_cast<size_t>(chunks) * 6);
-    const ProjectBackwardArgs project{planes, stride, count_, degree_, view_, records_.data(), place_.data(), slots, first_slot_.data(), grads, grads_stride, touched, sums};
+    const ProjectBackwardArgs project{planes, stride, count_, degree_, view_, records_.data(), chunk_counts_.data(), place_.data(), slots, first_slot_.data(), grads, grads_stride, touched, sums};
     pool().run(chunks, [&](int chunk) { k.project_backward(project, chunk); });
     if (pose == nullptr) return;
     std::fill(pose, pose + 6, 0.0);
@@ -161,7 +176,7 @@ void Workspace::backward(const float* planes, size_t stride, const float* grad_c
 }
 
 size_t Workspace::bytes() const {
-    return records_.bytes() + first_slot_.bytes() + chunk_counts_.bytes() + tile_start_.bytes() + tile_list_.bytes() + tile_blocks_.bytes() + boxes_.bytes() + bin_counts_.bytes() +
+    return records_.bytes() + groups_.bytes() + first_record_.bytes() + first_slot_.bytes() + chunk_counts_.bytes() + tile_start_.bytes() + tile_list_.bytes() + tile_blocks_.bytes() + boxes_.bytes() + bin_counts_.bytes() +
            place_.bytes() + slots_.bytes() + pose_.bytes();
 }
 

@@ -32,7 +32,8 @@ private:
     size_t slots_used_ = 0;
     float *color_ = nullptr, *depth_ = nullptr, *alpha_ = nullptr;  // the caller keeps them alive until backward
     Buffer<Record> records_;
-    Buffer<int> chunk_counts_;
+    Buffer<uint64_t> groups_;  // of eight Gaussians that may be in view
+    Buffer<int> first_record_, chunk_counts_;  // of each chunk; once sorted, chunk_counts_ has how many are visible before it
     Buffer<uint32_t> first_slot_, tile_start_, tile_list_, bin_counts_;
     const uint32_t* by_depth_ = nullptr;  // places of records, nearest first; until bin() has run
     Buffer<uint64_t> tile_blocks_;

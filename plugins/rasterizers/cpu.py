@@ -26,6 +26,7 @@ class CpuRasterizer(Rasterizer):
         self.device = torch.device("cpu")
         self._native = _native
         self._free: list = []  # workspaces between uses
+        self._gradients = torch.empty(0, 0)  # reused: new memory for each iteration costs more than what a view touches
 
     @classmethod
     def unavailable_reason(cls) -> str | None:
@@ -64,8 +65,10 @@ class CpuRasterizer(Rasterizer):
         pose: bool = False,
     ) -> Gradients:
         workspace, planes = rendered.context
-        grads = torch.empty_like(planes)
-        touched = torch.empty(planes.shape[1], dtype=torch.bool)
+        rows, count = planes.shape
+        if len(self._gradients) != rows or self._gradients.shape[1] < count:
+            self._gradients = torch.empty(rows, count + count // 8)
+        grads, touched = self._gradients[:, :count], torch.empty(count, dtype=torch.bool)
         twist = workspace.backward(planes, grad_color, grad_depth, grad_alpha, grads, touched, pose)
         rendered.context = None
         self._free.append(workspace)
