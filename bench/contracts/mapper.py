@@ -88,8 +88,9 @@ class Mapper(ABC):
     def state(self) -> dict[str, Any] | None:
         """All that learning resumes from, for a checkpoint: CPU tensors, numbers, text, and lists and dicts of them.
 
-        Asked for between keyframes and between ``final_steps``. None (the default): runs with this mapper have no
-        checkpoints, and begin anew after a kill. The keyframes' images and depth need not be in it.
+        Asked for between keyframes, between ``final_steps`` and after the last of them; what is resumed from that one
+        is only rendered and saved. None (the default): runs with this mapper have no checkpoints, and begin anew after
+        a kill. The keyframes' images and depth need not be in it.
         """
         return None
 

@@ -31,7 +31,7 @@ STORES = ("mapper", "tracker")
 _FILE = "state.pt"
 _JOURNALS = ("rows", "events", "keyframe_poses")
 _AS_THEY_ARE = ("mapper", "random", "seeing")
-_TOLD = ("seconds", "elapsed_s", "psnr_db", "peak_memory_gb", "resumed_after")
+_TOLD = ("seconds", "elapsed_s", "psnr_db", "peak_memory_gb", "resumed_after", "optimised")
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +44,8 @@ class Snapshot:
     of wall time; ``psnr_db`` of the newest keyframe; ``random`` is the state of torch's generator; ``events`` so far;
     ``keyframe_poses`` the (4, 4) that each mapped keyframe came with, in order. ``seeing``: the states of the front
     end's parts by kind, or "trajectory" once all frames are tracked; empty where they are to be repeated. ``obsolete``:
-    by store, sets that these states have no use for.
+    by store, sets that these states have no use for. ``optimised``: the last optimisation is over, and the views in the
+    run folder are of this map and trajectory.
     """
 
     rows: list[dict[str, Any]]
@@ -59,6 +60,7 @@ class Snapshot:
     keyframe_poses: list[Float]
     seeing: dict[str, Any]
     obsolete: dict[str, set[str]]
+    optimised: bool
 
     def stored(self, kind: str) -> list[str]:
         """The sets that the state of a part builds on."""
@@ -82,9 +84,10 @@ class Checkpoints:
         self.stores = {kind: ArrayStore(self._folder / kind) for kind in STORES}
         self._journals = {name: Journal(self._folder / f"{name}.jsonl") for name in _JOURNALS}
 
-    def due(self) -> bool:
-        """Whether it is time for a checkpoint; whoever is told so takes care of it."""
-        if self._gave_up or not time.monotonic() - self._asked >= self._every_s:
+    def due(self, at_once: bool = False) -> bool:
+        """Whether it is time for a checkpoint; whoever is told so takes care of it. ``at_once``: it is, if this run has
+        any."""
+        if self._gave_up or not (at_once or time.monotonic() - self._asked >= self._every_s):
             return False
         self._asked = time.monotonic()
         return True

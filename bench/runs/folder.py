@@ -142,14 +142,15 @@ class RunFolder:
         config: dict[str, Any],
         config_hash: str,
         rerun: bool,
-        keep_log: bool = False,
+        to_resume: bool = False,
         map_file: str | None = None,
     ) -> RunFolder:
         """Make or open the folder and write ``config.yaml``; older outputs of the same config are removed.
 
-        A finished run of the same config is left as it is (``already_done``) unless ``rerun``; ``keep_log`` keeps the
-        log of one that will go on, and ``map_file`` names the file of the map. Raises ``BenchError`` when the path is a
-        file, can't be written, holds something else or a run of another config, or is being written by a live process.
+        A finished run of the same config is left as it is (``already_done``) unless ``rerun``; ``to_resume`` keeps log
+        and views of one that may be resumed, and ``map_file`` names the file of the map. Raises ``BenchError`` when the
+        path is a file, can't be written, holds something else or a run of another config, or is being written by a live
+        process.
         """
         if path.exists() and not path.is_dir():
             raise BenchError(f"output={path} is a file. Name a folder that is empty or not there yet.")
@@ -160,7 +161,7 @@ class RunFolder:
                 _require_same_config(path, known, config, config_hash)
                 if _is_done(path) and not rerun:
                     return cls(path, already_done=True)
-                _remove_old_outputs(path, map_file, keep={LOG_FILE} if keep_log else set())
+                _remove_old_outputs(path, map_file, to_resume)
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -315,13 +316,15 @@ def _is_done(path: Path) -> bool:
     return status is not None and status.is_complete
 
 
-def _remove_old_outputs(path: Path, map_file: str | None, keep: set[str]) -> None:
-    """Remove the files that a run writes but those in ``keep``, and nothing else that may lie in the folder."""
+def _remove_old_outputs(path: Path, map_file: str | None, to_resume: bool) -> None:
+    """Remove the files that a run writes, and nothing else that may lie in the folder; log and views stay for one that
+    is to be resumed."""
     for name in (*OTHER_FILES, *([map_file] if map_file else [])):
-        if name not in keep:
+        if not (to_resume and name == LOG_FILE):
             (path / name).unlink(missing_ok=True)
     for picture in _pictures(path):
-        picture.unlink()
+        if not to_resume or picture.match(TEMPORARY_PATTERN):
+            picture.unlink()
     for leftover in path.glob(TEMPORARY_PATTERN):
         leftover.unlink()
 

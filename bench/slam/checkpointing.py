@@ -108,6 +108,7 @@ def snapshot_of(
         peak_memory_gb=done.peak_memory_gb(memory),
         random=torch.get_rng_state(),
         resumed_after=done.resumed_after(),
+        optimised=done.optimised,
         events=done.events,
     )
 

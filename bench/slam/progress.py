@@ -52,6 +52,8 @@ class Progress:
     psnr_db: float = float("nan")
     keyframe_poses: list[Float] = field(default_factory=list)
     """The pose (4, 4) that each mapped keyframe had when it came, in order."""
+    optimised: bool = False
+    """The last optimisation is over: map and trajectory stay as they are."""
     started: float = field(default_factory=time.perf_counter)
     wall_s: float | None = None  # of the whole SLAM, before rendering for the evaluation
     before: Snapshot | None = None  # where a resumed run began
@@ -92,6 +94,7 @@ class Progress:
         self.seconds = dict(snapshot.seconds)
         self.psnr_db = snapshot.psnr_db
         self.keyframe_poses = list(snapshot.keyframe_poses)
+        self.optimised = snapshot.optimised
         self.before, self._counted = snapshot, _Counted()
         self.started = time.perf_counter()
 

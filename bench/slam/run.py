@@ -75,7 +75,7 @@ def _run_system(config: RunConfig, progress: Tell | None, watchdog: Watchdog, fo
         foresee(system)
     resuming = values["resume"] and not values["rerun"]
     folder = RunFolder.create(
-        config.output, values, config.hash, values["rerun"], keep_log=resuming, map_file=system.mapper.map_file
+        config.output, values, config.hash, values["rerun"], to_resume=resuming, map_file=system.mapper.map_file
     )
     if folder.already_done:
         system.tracker.finish()
@@ -121,17 +121,25 @@ class _Run:
     def make(self) -> None:
         """Map all frames, from the checkpoint on if there is one, and save everything."""
         snapshot = self.checkpoints.load()
+        if snapshot is None or not snapshot.optimised:
+            self.folder.remove_views()
         try:
             self._map_frames(snapshot)
         except CannotResumeError as error:
             log.warning("the run begins anew: %s", error)
             self.checkpoints.remove()
+            self.folder.remove_views()
             self.finish_tracking()
             self.system, self.done, self._tracking = System.build(self.config), Progress(), True
             self._map_frames(None)
         self.finish_tracking()
         self._require_tracked()
-        self._optimise_at_the_end()
+        if not self.done.optimised:
+            self._optimise_at_the_end()
+            self.done.optimised = True
+            # From here on views are written, and whoever resumes from this checkpoint can trust those that it finds.
+            if self.checkpoints.due(at_once=True):
+                self._write_checkpoint(None)
         self.done.wall_s = self.done.elapsed_s()
         self._tell("rendering", now=True)
         save_views(self.system, self.folder, self.done, self.watchdog.step)
