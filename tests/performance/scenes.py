@@ -41,6 +41,15 @@ def isotropic(count: int, radius_px: float = 5.0) -> Tensor:
     return planes_from(means, scales, quaternions, opacities, torch.rand(count, 3, generator=generator))
 
 
+def with_surroundings(planes: Tensor, count: int) -> Tensor:
+    """The map amid ``count`` more Gaussians that the view does not show: half behind the camera, half beside it."""
+    outside = isotropic(count)
+    behind, beside = outside[:, : count // 2], outside[:, count // 2 :]
+    behind[2] *= -1.0
+    beside[0] = 3.0 * beside[2]
+    return torch.cat([behind, planes, beside], 1)
+
+
 def elongated(count: int) -> Tensor:
     """Opaque splats of 6:1, as a trained map has them on surfaces: opacity 0.9 to 0.99."""
     generator = torch.Generator().manual_seed(1)

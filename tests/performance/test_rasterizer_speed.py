@@ -16,7 +16,7 @@ from bench.registry import PluginConfig, lookup
 from bench.supervision.ssim import local_statistics, ssim
 from bench.supervision.target import Target
 from plugins.rasterizers.cpu import CpuRasterizer
-from tests.performance.scenes import VIEW, elongated, interleaved, isotropic, report
+from tests.performance.scenes import VIEW, elongated, interleaved, isotropic, report, with_surroundings
 
 SIZE = (VIEW.height, VIEW.width)
 
@@ -80,6 +80,21 @@ def test_rasterizer_against_matrix_product() -> None:
         "scratch at 1 M, MB": workspace.bytes / 1e6,
     }
     report("rasterizer", seconds, ratios)
+
+
+def test_what_lies_outside_the_view() -> None:
+    """A map of 100 k Gaussians in view, alone and amid others; the goal is at most 10 ns for each of these."""
+    rasterizer = CpuRasterizer(PluginConfig("cpu"))
+    inside, outside = isotropic(100_000, radius_px=4.05), (500_000, 2_000_000)
+    work = {f"{count:,} outside, whole iteration": with_surroundings(inside, count) for count in (0, *outside)}
+    seconds = interleaved({name: whole_iteration(rasterizer, planes) for name, planes in work.items()}, rounds=8)
+    alone, *amid = seconds.values()
+    ratios = {f"{count:,} outside / none": value / alone for count, value in zip(outside, amid, strict=True)}
+    ratios |= {
+        f"wall ns for each of {count:,} outside": (value - alone) / count * 1e9
+        for count, value in zip(outside, amid, strict=True)
+    }
+    report("outside_the_view", seconds, ratios)
 
 
 def test_fused_ssim_against_conv2d() -> None:
