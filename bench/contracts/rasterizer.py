@@ -31,10 +31,11 @@ class Rendered:
 
 @dataclass
 class Gradients:
-    """Gradients of a scalar loss: ``planes`` (P, N) like the parameters, ``touched`` (N,) bool = visible in this view,
+    """Gradients of a scalar loss: ``planes`` (P, M) like the parameters, ``touched`` (M,) bool = visible in this view,
     ``twist`` (6,) float64 of the left perturbation p_cam -> exp(twist) p_cam (translation, rotation), or None.
 
-    Columns of ``planes`` that were not touched may hold anything: most of a large map lies outside a view.
+    M = N, or as many Gaussians as learn. Columns of ``planes`` that were not touched may hold anything: most of a large
+    map lies outside a view.
     """
 
     planes: Tensor
@@ -42,7 +43,7 @@ class Gradients:
     twist: Tensor | None
 
     def dense(self) -> Tensor:
-        """A copy (P, N) of the gradients, zero where nothing was touched."""
+        """A copy (P, M) of the gradients, zero where nothing was touched."""
         return torch.where(self.touched, self.planes, 0.0)
 
 
@@ -77,9 +78,11 @@ class Rasterizer(ABC):
         grad_depth: Tensor | None,
         grad_alpha: Tensor | None,
         pose: bool = False,
+        learning: int | None = None,
     ) -> Gradients:
         """Gradients of a loss from its gradients by the three images (None = zero). Once a render.
 
+        Of the planes only for the first ``learning`` Gaussians (None = all), by the ``pose`` through all of them.
         They may lie in memory that the next call writes again: use them before, or keep ``dense()``.
         """
 

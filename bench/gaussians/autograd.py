@@ -49,6 +49,7 @@ class AutogradRasterizer(Rasterizer):
         grad_depth: Tensor | None,
         grad_alpha: Tensor | None,
         pose: bool = False,
+        learning: int | None = None,
     ) -> Gradients:
         leaf, twist, *images, visible, dtype = rendered.context
         rendered.context = None
@@ -62,7 +63,8 @@ class AutogradRasterizer(Rasterizer):
                 allow_unused=True,
                 materialize_grads=True,
             )
-        return Gradients(by_planes.to(dtype), visible, by_twist.double() if pose else None)
+        by_learning = by_planes[:, :learning].to(dtype)
+        return Gradients(by_learning, visible[:learning], by_twist.double() if pose else None)
 
 
 def perturbed(T_cam_world: Tensor, twist: Tensor) -> tuple[Tensor, Tensor]:

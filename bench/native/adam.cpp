@@ -18,10 +18,10 @@ void adam_step(Planes& params, Planes& first, Planes& second, const Planes& grad
     const size_t planes = params.shape(0), n = params.shape(1), learning = first.shape(1);
     require(first.shape(0) == planes && second.shape(0) == planes && second.shape(1) == learning && learning <= n,
             "first and second must have the same shape (P, M), M at most N, for params of shape (P, N)");
-    require(grads.shape(0) == planes && grads.shape(1) == n, "grads must have the shape of params");
+    require(grads.shape(0) == planes && grads.shape(1) >= learning, "grads must have shape (P, M), or more columns");
     require(rates.size() == planes, "rates must have one entry per plane");
     require(!position_rate || position_rate->shape(0) == learning, "position_rate must have shape (M,), one entry per column of first");
-    require(!touched || touched->shape(0) == n, "touched must have shape (N,)");
+    require(!touched || touched->shape(0) >= learning, "touched must have shape (M,), or more entries");
     bgs::AdamArgs args{};
     args.params = params.data(), args.first = first.data(), args.second = second.data(), args.grads = grads.data();
     args.stride = stride_of(params, "params"), args.grads_stride = stride_of(grads, "grads");

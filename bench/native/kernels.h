@@ -93,7 +93,7 @@ struct ObserveArgs {
 struct ProjectBackwardArgs {
     const float* planes;
     size_t stride;
-    int count, degree;
+    int count, degree;     // count: of those whose gradients are wanted, the first ones of the map
     View view;
     const Record* records;
     const int* chunk_starts;  // chunks + 1: how many are visible before each chunk

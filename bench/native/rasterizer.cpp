@@ -160,14 +160,14 @@ void Workspace::bin() {
 }
 
 void Workspace::backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
-                         float* grads, size_t grads_stride, bool* touched, double* pose) {
+                         float* grads, size_t grads_stride, int learning, bool* touched, double* pose) {
     const KernelTable& k = kernels();
     float* slots = slots_.reserve(slots_used_ * SLOT);
     const RasterBackwardArgs raster{raster_args(), grad_color, grad_depth, grad_alpha, slots, first_slot_.data()};
     pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_backward(raster, tile); });
-    const int chunks = (count_ + CHUNK - 1) / CHUNK;
+    const int chunks = (learning + CHUNK - 1) / CHUNK;
     double* sums = pose == nullptr ? nullptr : pose_.reserve(static_cast<size_t>(chunks) * 6);
-    const ProjectBackwardArgs project{planes, stride, count_, degree_, view_, records_.data(), chunk_counts_.data(), place_.data(), slots, first_slot_.data(), grads, grads_stride, touched, sums};
+    const ProjectBackwardArgs project{planes, stride, learning, degree_, view_, records_.data(), chunk_counts_.data(), place_.data(), slots, first_slot_.data(), grads, grads_stride, touched, sums};
     pool().run(chunks, [&](int chunk) { k.project_backward(project, chunk); });
     if (pose == nullptr) return;
     std::fill(pose, pose + 6, 0.0);

@@ -11,9 +11,9 @@ public:
     void forward(const float* planes, size_t stride, int count, int degree, const View& view, float* color, float* depth, float* alpha);
     // Per Gaussian the pixels that see it before half of their light is gone, and where that is; NaN where it never is.
     void observe(const float* planes, size_t stride, int count, int degree, const View& view, int* pixels, float* median_depth);
-    // `pose` (6 values) may be null; null image gradients count as zero.
+    // Of the first `learning` Gaussians, of all for a `pose` (6 values, or null); null image gradients count as zero.
     void backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
-                  float* grads, size_t grads_stride, bool* touched, double* pose);
+                  float* grads, size_t grads_stride, int learning, bool* touched, double* pose);
     int count() const { return count_; }
     int degree() const { return degree_; }
     int visible() const { return visible_; }

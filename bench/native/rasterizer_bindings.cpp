@@ -63,8 +63,10 @@ std::vector<double> backward(bgs::Workspace& ws, const Planes& planes, const std
                              const std::optional<Array2>& grad_depth, const std::optional<Array2>& grad_alpha, Planes& grads, Flags& touched,
                              bool pose) {
     require(static_cast<int>(planes.shape(0)) == bgs::planes_of(ws.degree()) && static_cast<int>(planes.shape(1)) == ws.count(), "planes are not those of the forward pass");
-    require(grads.shape(0) == planes.shape(0) && grads.shape(1) == planes.shape(1), "grads must have the shape of planes");
-    require(touched.shape(0) == planes.shape(1), "touched must have shape (N,)");
+    const size_t learning = grads.shape(1);
+    require(grads.shape(0) == planes.shape(0) && learning <= planes.shape(1), "grads must have shape (P, M), M at most N");
+    require(!pose || learning == planes.shape(1), "the gradient by the pose needs those of all Gaussians: grads must have shape (P, N)");
+    require(touched.shape(0) == learning, "touched must have shape (M,), one entry per column of grads");
     if (grad_color) check_image(*grad_color, 3, ws.height(), ws.width(), "grad_color must have shape (3, H, W)");
     if (grad_depth) check_map(*grad_depth, ws.height(), ws.width(), "grad_depth must have shape (H, W)");
     if (grad_alpha) check_map(*grad_alpha, ws.height(), ws.width(), "grad_alpha must have shape (H, W)");
@@ -72,7 +74,7 @@ std::vector<double> backward(bgs::Workspace& ws, const Planes& planes, const std
     const size_t stride = stride_of(planes, "planes"), grads_stride = stride_of(grads, "grads");
     nb::gil_scoped_release release;
     ws.backward(planes.data(), stride, grad_color ? grad_color->data() : nullptr, grad_depth ? grad_depth->data() : nullptr,
-                grad_alpha ? grad_alpha->data() : nullptr, grads.data(), grads_stride, touched.data(),
+                grad_alpha ? grad_alpha->data() : nullptr, grads.data(), grads_stride, static_cast<int>(learning), touched.data(),
                 pose ? twist.data() : nullptr);
     return twist;
 }

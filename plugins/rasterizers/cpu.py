@@ -63,13 +63,16 @@ class CpuRasterizer(Rasterizer):
         grad_depth: Tensor | None,
         grad_alpha: Tensor | None,
         pose: bool = False,
+        learning: int | None = None,
     ) -> Gradients:
         workspace, planes = rendered.context
-        rows, count = planes.shape
+        rows, count = len(planes), planes.shape[1] if pose or learning is None else learning
         if len(self._gradients) != rows or self._gradients.shape[1] < count:
             self._gradients = torch.empty(rows, count + count // 8)
         grads, touched = self._gradients[:, :count], torch.empty(count, dtype=torch.bool)
         twist = workspace.backward(planes, grad_color, grad_depth, grad_alpha, grads, touched, pose)
         rendered.context = None
         self._free.append(workspace)
-        return Gradients(grads, touched, torch.tensor(twist, dtype=torch.float64) if pose else None)
+        return Gradients(
+            grads[:, :learning], touched[:learning], torch.tensor(twist, dtype=torch.float64) if pose else None
+        )

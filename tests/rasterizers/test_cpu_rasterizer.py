@@ -155,6 +155,21 @@ def _around(view: PinholeView, seed: int, away_m: float) -> tuple[Tensor, Pinhol
     return torch.from_numpy(planes.astype(np.float32)), replace(view, T_world_cam=T_world_cam)
 
 
+@pytest.mark.parametrize("make", [cpu, reference])
+@pytest.mark.parametrize("pose", [False, True])
+def test_gradients_of_those_that_learn_are_the_first_of_all(make: Callable[[], Rasterizer], pose: bool) -> None:
+    planes, view = random_scene(SCENES["one tile exactly"])
+    grads, rasterizer = image_gradients(view, 2), make()
+    _, whole = render_and_back(rasterizer, planes, view, grads, pose)
+    for learning in (0, 1, 8, 37, planes.shape[1]):
+        some = rasterizer.backward(rasterizer.render(planes, view), *grads, pose=pose, learning=learning)
+        assert torch.equal(some.dense(), whole.planes[:, :learning])
+        assert torch.equal(some.touched, whole.touched[:learning])
+        assert (some.twist is None) == (whole.twist is None)
+        if some.twist is not None:
+            assert torch.equal(some.twist, whole.twist)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("strange", [False, True])
 @pytest.mark.parametrize("away_m", [0.0, 8000.0])
 @pytest.mark.parametrize("seed", range(4))
