@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any
 
 from bench.contracts.metric import Metric
 from bench.contracts.saved_run import SavedRun, SavedView
+from bench.runs.folder import View
+
+ViewScores = Mapping[tuple[View, int], dict[str, Any]]
+"""What an evaluator said of views, by camera and frame number, in the order of ``SavedRun.views``."""
 
 
 class Evaluator(ABC):
@@ -29,7 +34,8 @@ class Evaluator(ABC):
 class ViewEvaluator(Evaluator):
     """An evaluator of pictures: ``start``, then ``view`` for each saved view, then ``finish``.
 
-    All evaluators of this kind share one pass over the views, so that each picture is decoded once.
+    All evaluators of this kind share one pass over the views, so that each picture is decoded once. Frames are scored
+    on all cores, and what ``view`` gave is on disk from then on: a scoring that was stopped goes on after it.
     """
 
     @abstractmethod
@@ -37,16 +43,19 @@ class ViewEvaluator(Evaluator):
         """Get ready for this run, before its first view."""
 
     @abstractmethod
-    def view(self, view: SavedView) -> None:
-        """Score one view; ask it only for what is needed. Views come as ``SavedRun.views`` gives them."""
+    def view(self, view: SavedView) -> dict[str, Any] | None:
+        """Scores of one view, plain data that JSON holds (NaN too), or None; ask it only for what is needed.
+
+        Called from several threads at once, in any order, and not for views that a stopped scoring had done: it may
+        depend on the view, the run and the settings, and must change nothing.
+        """
 
     @abstractmethod
-    def finish(self) -> dict[str, Any]:
-        """What ``evaluate`` returns, after the last view; also for a run without views."""
+    def finish(self, scores: ViewScores) -> dict[str, Any]:
+        """What ``evaluate`` returns, from what ``view`` gave of each view; also for a run without views."""
 
     def evaluate(self, run: SavedRun) -> dict[str, Any]:
         """Score the run alone, in a pass of its own."""
         self.start(run)
-        for view in run.views():
-            self.view(view)
-        return self.finish()
+        found = {(view.camera, view.number): self.view(view) for view in run.views()}
+        return self.finish({view: scores for view, scores in found.items() if scores is not None})

@@ -1,29 +1,31 @@
-"""LPIPS, the learned perceptual distance, with the ``lpips`` package and genuine AlexNet weights."""
+"""LPIPS, the learned perceptual distance: genuine AlexNet weights, and the ``lpips`` package's linear layers."""
 
 from __future__ import annotations
 
-import importlib
-import sys
-import warnings
+import importlib.util
 from collections.abc import Sequence
-from types import ModuleType
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 import torch
+from torch.nn import functional
 
 from bench.errors import BenchError
-from bench.evaluation.alexnet_weights import WeightsFound, find_alexnet_weights, load_alexnet_weights
+from bench.evaluation.alexnet_weights import CONVOLUTIONS, WeightsFound, find_alexnet_weights, load_alexnet_weights
 from bench.types import Image
 
 __all__ = ["Lpips", "WeightsFound", "find_alexnet_weights"]
 
 MINIMUM_SIDE = 31
 """Smaller images have no pixel left after AlexNet's two poolings."""
+# Of AlexNet's convolutions: stride, padding, and whether a maximum over 3x3 pixels, every second one, comes before.
+_STEPS = ((4, 2, False), (1, 2, True), (1, 1, True), (1, 1, False), (1, 1, False))
+# ImageNet's mean and deviation of RGB as LPIPS has them, for values in [-1, 1].
+_MEAN, _DEVIATION = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
 
 class Lpips:
-    """LPIPS v0.1 with net=alex on a GPU when there is one; build it once, it takes seconds to import.
+    """LPIPS v0.1 with net=alex on a GPU when there is one.
 
     Raises ``BenchError`` when the weights file is damaged.
     Source: Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", CVPR 2018.
@@ -31,24 +33,24 @@ class Lpips:
 
     def __init__(self, weights: WeightsFound) -> None:
         features = load_alexnet_weights(weights.path)
-        package = _import_lpips()
-        # The package first fills the network with random numbers: keep the global generator out of it.
-        with torch.random.fork_rng(devices=[]), warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # torchvision's about the package's use of `pretrained`
-            network = package.LPIPS(net="alex", pnet_rand=True, verbose=False)
-        trunk = {
-            name.rpartition("slice")[2].partition(".")[2]: tensor for name, tensor in network.net.named_parameters()
-        }
-        for key, tensor in trunk.items():
-            tensor.data.copy_(features[key])
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         # Channels last: a fifth less time on a CPU, the same numbers to float32 rounding.
-        self._network = network.eval().to(self._device, memory_format=torch.channels_last)
+        self._convolutions = [
+            (
+                features[f"{position}.weight"].to(self._device, memory_format=torch.channels_last),
+                features[f"{position}.bias"].to(self._device),
+            )
+            for position in CONVOLUTIONS
+        ]
+        self._linear = [layer.to(self._device) for layer in _linear_layers()]
+        self._mean, self._deviation = (
+            torch.tensor(values, device=self._device).view(3, 1, 1) for values in (_MEAN, _DEVIATION)
+        )
 
     def __call__(self, images: Sequence[Image], references: Sequence[Image]) -> list[float]:
         """One distance per pair; images are uint8 (H, W, 3), all of one size, at least 31 pixels per side.
 
-        On a CPU pairs one by one are fastest, so a batch is for GPUs. Raises ``BenchError`` for too small images.
+        On a CPU pairs one by one are fastest, so several are for GPUs. Raises ``BenchError`` for too small images.
         """
         if min(images[0].shape[:2]) < MINIMUM_SIDE:
             height, width = images[0].shape[:2]
@@ -56,38 +58,48 @@ class Lpips:
                 f"LPIPS needs images of at least {MINIMUM_SIDE}x{MINIMUM_SIDE} pixels; these are {width}x{height}."
             )
         with torch.inference_mode():
-            distances = self._network(self._scaled(images), self._scaled(references))
-            return [float(value) for value in distances.flatten().cpu()]
+            values = self._scaled([*images, *references])
+            total = torch.zeros(len(images), device=self._device)
+            for (weight, bias), linear, (stride, padding, pooled) in zip(
+                self._convolutions, self._linear, _STEPS, strict=True
+            ):
+                values = functional.max_pool2d(values, 3, 2) if pooled else values
+                values = functional.conv2d(values, weight, bias, stride, padding).relu_()
+                total += _distance(values, linear)
+            return [float(value) for value in total.cpu()]
 
     def _scaled(self, images: Sequence[Image]) -> torch.Tensor:
-        """(N, 3, H, W) float32 in [-1, 1]; uint8 input needs no clamping."""
+        """(N, 3, H, W) float32 as the network wants it; uint8 input needs no clamping."""
         stacked = torch.from_numpy(np.stack(images)).to(self._device)
         # NHWC seen as NCHW is already channels last.
-        return stacked.permute(0, 3, 1, 2).to(torch.float32).div_(127.5).sub_(1.0)
+        values = stacked.permute(0, 3, 1, 2).to(torch.float32).div_(127.5).sub_(1.0)
+        return values.sub_(self._mean).div_(self._deviation)
 
 
-def _import_lpips() -> ModuleType:
-    """Import ``lpips``, also beside a torch whose torchvision lacks its compiled operators.
+def _distance(features: torch.Tensor, linear: torch.Tensor) -> torch.Tensor:
+    """(N,) from features (2N, C, H, W) of N images and then of their references: of each pixel's features, scaled to
+    length 1, the squared differences weighted by ``linear`` (C,); the mean over the pixels."""
+    pixels = features.permute(0, 2, 3, 1).flatten(1, 2)
+    # LPIPS adds 1e-10 to the length, so that features that are all 0 stay so.
+    pixels = pixels / (torch.linalg.vector_norm(pixels, dim=2, keepdim=True) + 1e-10)
+    images, references = pixels.chunk(2)
+    return ((images - references).square_() @ linear).mean(1)
 
-    Where no torchvision is built for the installed torch, its import stops because it describes the operator
-    ``torchvision::nms`` that is not there. LPIPS uses none of these operators; so the describing is switched off
-    while importing, and only then, and only when importing fails.
-    """
+
+def _linear_layers() -> list[torch.Tensor]:
+    """The five weights (C,) that LPIPS has trained; of the package only this file is read, since importing it imports
+    torchvision and fills an AlexNet with random numbers."""
+    package = importlib.util.find_spec("lpips")
+    path = (
+        Path(package.origin if package is not None and package.origin is not None else "lpips").parent
+        / "weights"
+        / "v0.1"
+        / "alex.pth"
+    )
     try:
-        return importlib.import_module("lpips")
-    except RuntimeError as error:
-        if "torchvision::" not in str(error):
-            raise
-    for name in [name for name in sys.modules if name.partition(".")[0] in ("torchvision", "lpips")]:
-        del sys.modules[name]
-    original = torch.library.register_fake
-    torch.library.register_fake = _describe_nothing
-    try:
-        return importlib.import_module("lpips")
-    finally:
-        torch.library.register_fake = original
-
-
-def _describe_nothing(*_: Any, **__: Any) -> Any:
-    """Stands in for ``torch.library.register_fake``: a decorator that leaves the function as it is."""
-    return lambda function: function
+        layers = torch.load(path, map_location="cpu", weights_only=True)
+        return [layers[f"lin{index}.model.1.weight"].flatten() for index in range(len(CONVOLUTIONS))]
+    except (OSError, KeyError, RuntimeError) as error:
+        raise BenchError(
+            f"{path} can't be read ({error}). Install again: pip install --force-reinstall lpips."
+        ) from error

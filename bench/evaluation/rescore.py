@@ -13,13 +13,13 @@ from bench.config import compose_run, hash_of
 from bench.errors import BenchError
 from bench.evaluation.saved_run import SavedRunFolder
 from bench.runs.config_file import read_config, write_config
-from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PLOT_FILE
+from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PLOT_FILE, SCORES_FILE
 
 _OF_THE_RUN = ("holdout_every", "holdout_remainder", "rendered_depth")
 """Settings of the protocol that a run obeys while it maps and renders: scoring can't change them afterwards."""
 # Copied, since they are small and may be written again; what else there is, the map, is linked.
 _TEXTS = (".csv", ".json", ".jsonl", ".txt", ".yaml")
-_OF_SCORING = (METRICS_FILE, PER_FRAME_FILE, PLOT_FILE)
+_OF_SCORING = (METRICS_FILE, PER_FRAME_FILE, PLOT_FILE, SCORES_FILE)
 
 
 def copy_for(run: SavedRunFolder, overrides: Sequence[str], out: Path | None = None) -> Path:

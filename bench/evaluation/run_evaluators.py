@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -10,16 +10,16 @@ from typing import Any
 
 from bench import registry
 from bench.contracts.evaluator import Evaluator, ViewEvaluator
-from bench.contracts.saved_run import SavedRun
 from bench.errors import BenchError
 from bench.evaluation.frame_states import count_states
 from bench.evaluation.gaps import about_gaps
 from bench.evaluation.metrics import DECLARED, brought_with
 from bench.evaluation.saved_run import ProgressReport, SavedRunFolder
+from bench.evaluation.score_views import score_views
 from bench.io.atomic import write_json, write_text
 from bench.plugin_config import plugin_config_from
 from bench.runs.endings import how_it_ended, terminate_as_interrupt
-from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE, map_size
+from bench.runs.folder import METRICS_FILE, PER_FRAME_FILE, PROVENANCE_FILE, RESOURCES_FILE, SCORES_FILE, map_size
 from bench.runs.provenance import describe_weights
 from bench.runs.status import SCORING, read_json, without_scores, write_status
 from bench.runs.system_name import external_name
@@ -29,11 +29,11 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
     """Score the run folder at ``path`` with the evaluators of its config; write and return the metrics.
 
     ``on_progress(what, done, total)`` is called while images are scored. A run that failed or was interrupted is scored
-    as far as it got. An evaluator that can't run here leaves a note instead of its numbers. Plugins that the run needs
-    are loaded before: the folders of plugins that its config names are not looked into. Raises ``BenchError`` for a
-    plugin that is not there, a folder that is no run, is incomplete or damaged, and when two evaluators disagree about
-    the same number; where a run has no scores yet, its status then says what came in between, and that only its scores
-    are missing.
+    as far as it got; a scoring that was stopped or killed goes on where it was. An evaluator that can't run here leaves
+    a note instead of its numbers. Plugins that the run needs are loaded before: the folders of plugins that its config
+    names are not looked into. Raises ``BenchError`` for a plugin that is not there, a folder that is no run, is
+    incomplete or damaged, and when two evaluators disagree about the same number; where a run has no scores yet, its
+    status then says what came in between, and that only its scores are missing.
     """
     run = SavedRunFolder(path)
     run.on_progress = on_progress
@@ -42,18 +42,20 @@ def evaluate_run(path: Path, on_progress: ProgressReport | None = None) -> dict[
 
 
 def _scored(run: SavedRunFolder) -> dict[str, Any]:
-    for name in run.config.get("evaluator") or {}:
+    chosen = run.config.get("evaluator") or {}
+    for name in chosen:
         run.require("evaluator", str(name))
     metrics: dict[str, Any] = {"protocol": run.protocol.stamp() | {"right_images_mapped": _learned_from_right(run)}}
-    evaluators = [_evaluator(name, mapping or {}) for name, mapping in (run.config.get("evaluator") or {}).items()]
-    _show_views(run, [evaluator for evaluator in evaluators if isinstance(evaluator, ViewEvaluator)])
-    for evaluator in evaluators:
+    evaluators = {name: _evaluator(name, mapping or {}) for name, mapping in chosen.items()}
+    of_views = {name: evaluator for name, evaluator in evaluators.items() if isinstance(evaluator, ViewEvaluator)}
+    scores = score_views(run, of_views)
+    for name, evaluator in evaluators.items():
         if isinstance(evaluator, ViewEvaluator):
-            merge(metrics, evaluator.finish())
+            merge(metrics, evaluator.finish(scores.pop(name)))
         else:
             merge(metrics, evaluator.evaluate(run) if isinstance(evaluator, Evaluator) else evaluator)
     merge(metrics, {"map": _map_size(run), "frames": _frame_counts(run)})
-    if brought := brought_with(run.config.get("evaluator") or {}):
+    if brought := brought_with(chosen):
         metrics[DECLARED] = brought
     gaps = about_gaps(run.frames)
     merge(metrics, {"notes": {"output": gaps}} if gaps else {})
@@ -63,6 +65,7 @@ def _scored(run: SavedRunFolder) -> dict[str, Any]:
     if run.status.stage == SCORING:
         write_status(run.path, replace(run.status, state="done", reason="", stage=""))
     write_json(run.path / METRICS_FILE, metrics)
+    (run.path / SCORES_FILE).unlink(missing_ok=True)
     return metrics
 
 
@@ -85,15 +88,6 @@ def _evaluator(name: str, mapping: Mapping[str, Any]) -> Evaluator | dict[str, A
     evaluator = registry.build(plugin_config_from("evaluator", {"name": name, **mapping}), "evaluator")
     assert isinstance(evaluator, Evaluator)
     return evaluator
-
-
-def _show_views(run: SavedRun, evaluators: Sequence[ViewEvaluator]) -> None:
-    """One pass over the saved views for all evaluators that want them."""
-    for evaluator in evaluators:
-        evaluator.start(run)
-    for view in run.views() if evaluators else ():
-        for evaluator in evaluators:
-            evaluator.view(view)
 
 
 def merge(into: dict[str, Any], part: dict[str, Any], where: str = "") -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator
-from functools import cached_property
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +17,7 @@ from bench import registry
 from bench.contracts.dataset import Dataset
 from bench.contracts.saved_run import VIEW_OF_GROUP, Group, LpipsMetric, SavedRun, SavedView
 from bench.errors import BenchError
+from bench.evaluation.saved_view import ViewOfFolder
 from bench.io.csv_files import read_csv
 from bench.io.foreign import read_plain, reading
 from bench.io.images import image_size
@@ -36,7 +38,7 @@ from bench.runs.folder import (
 )
 from bench.runs.status import STATUS_FILE, RunStatus, read_json, read_status
 from bench.runs.trajectory_csv import read_trajectory_csv
-from bench.types import Image, Map, Mask, StereoFrame, Trajectory
+from bench.types import Image, Map, StereoFrame, Trajectory
 
 ProgressReport = Callable[[str, int, int], None]
 """Called with what is being done, how many are done, and how many there are."""
@@ -61,8 +63,9 @@ class SavedRunFolder(SavedRun):
         self._require_sections()
         self.on_progress: ProgressReport | None = None
         self._per_frame: dict[tuple[str, int], dict[str, Any]] = {}
-        self._frame: tuple[int, StereoFrame] | None = None
         self.weights: dict[str, Path] = {}
+        self.one_at_a_time = threading.Lock()
+        """Held while the data set is asked: nobody promised that several threads may ask it at once."""
 
     def _require_sections(self) -> None:
         """Raise ``BenchError`` where a section of the config that scoring reads is none."""
@@ -201,18 +204,22 @@ class SavedRunFolder(SavedRun):
 
     def views(self) -> Iterator[SavedView]:
         """The saved views one by one; ``BenchError`` for a render of a frame that the data set does not have."""
-        left = {*self.rendered("left"), *self.rendered("left", "depth")}
-        right = set(self.rendered("right")) if self.protocol.right_view else set()
+        for number, cameras in self.viewed().items():
+            yield from self.views_of(number, cameras)
+
+    def viewed(self) -> dict[int, list[View]]:
+        """Which cameras' views are scored, by frame number, in order."""
+        cameras: dict[View, set[int]] = {"left": {*self.rendered("left"), *self.rendered("left", "depth")}}
+        cameras["right"] = set(self.rendered("right")) if self.protocol.right_view else set()
         if self.right_images_mapped:
-            right &= set(self.numbers("right", "right"))
-        numbers = sorted(left | right)
-        for done, number in enumerate(numbers):
-            self.report_progress("views", done, len(numbers))
-            if number in left:
-                yield _View(self, "left", number)
-            if number in right:
-                yield _View(self, "right", number)
-        self.report_progress("views", len(numbers), len(numbers))
+            cameras["right"] &= set(self.numbers("right", "right"))
+        numbers = sorted(cameras["left"] | cameras["right"])
+        return {number: [camera for camera, there in cameras.items() if number in there] for number in numbers}
+
+    def views_of(self, number: int, cameras: Sequence[View]) -> list[SavedView]:
+        """The views of one frame, which share its decoded images; raises as ``views``."""
+        frame = cache(lambda: self.frame(self.position_of(number)))
+        return [ViewOfFolder(self, camera, number, frame) for camera in cameras]
 
     def position_of(self, number: int) -> int:
         """Position in the data set of the frame with this number; ``BenchError`` where it has none."""
@@ -224,13 +231,10 @@ class SavedRunFolder(SavedRun):
         return self._position_of[number]
 
     def frame(self, position: int) -> StereoFrame:
-        """The data set's frame, kept until another one is asked for: left and right views share it.
-
-        Raises ``BenchError`` where its images are no longer those that the run read.
-        """
-        if self._frame is None or self._frame[0] != position:
-            self._frame = position, self._unchanged(self.dataset.frame(position))
-        return self._frame[1]
+        """The data set's frame; ``BenchError`` where its images are no longer those that the run read."""
+        with self.one_at_a_time:
+            frame = self.dataset.frame(position)
+        return self._unchanged(frame)
 
     @cached_property
     def _checksums(self) -> dict[int, int]:
@@ -279,57 +283,3 @@ class SavedRunFolder(SavedRun):
         if picture is None or picture.dtype != dtype or (dtype is np.uint16 and picture.ndim != 2):
             raise BenchError(f"{path} is damaged and can't be decoded. Run again with rerun=true.")
         return picture
-
-
-class _View(SavedView):
-    """A view of a run folder; each part is read when first asked for, and kept as long as the view is."""
-
-    def __init__(self, run: SavedRunFolder, camera: View, number: int) -> None:
-        self.run, self.camera, self.number = run, camera, number
-        self.position = run.position_of(number)
-
-    @cached_property
-    def render(self) -> Image | None:
-        """The saved render; ``BenchError`` where it is not of the data set's size."""
-        render, size = self.run.render(self.camera, self.number), self.run.dataset.camera_of(self.position)
-        if render is not None and render.shape[:2] != (size.height, size.width):
-            raise BenchError(
-                f"The {self.camera} render of frame {self.number} in {self.run.path} is "
-                f"{render.shape[1]}x{render.shape[0]} pixels, the data set's image {size.width}x{size.height}. "
-                "Are its files those of the run?"
-            )
-        return render
-
-    @cached_property
-    def depth(self) -> Map | None:
-        """The saved depth in metres."""
-        return self.run.depth(self.camera, self.number)
-
-    @property
-    def image(self) -> Image:
-        """The data set's image."""
-        frame = self.run.frame(self.position)
-        if self.camera == "left":
-            return frame.left
-        return frame.pair("The score of right views", "protocol.right_view=false")[1]
-
-    @cached_property
-    def lidar(self) -> Map | None:
-        """LiDAR returns in the left image."""
-        return self.run.dataset.lidar_depth(self.position) if self.camera == "left" else None
-
-    @cached_property
-    def true_depth(self) -> Map | None:
-        """Exact depth of the left image."""
-        return self.run.dataset.true_depth(self.position) if self.camera == "left" else None
-
-    @cached_property
-    def true_sky(self) -> Mask | None:
-        """Exact sky of the left image."""
-        return self.run.dataset.true_sky(self.position) if self.camera == "left" else None
-
-    @cached_property
-    def lpips(self) -> float | None:
-        """LPIPS of the whole images."""
-        distance = self.run.lpips.distance
-        return None if distance is None or self.render is None else distance([self.render], [self.image])[0]

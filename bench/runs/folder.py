@@ -38,6 +38,8 @@ RESOURCES_FILE = "resources.json"
 PROVENANCE_FILE = "provenance.json"
 METRICS_FILE = "metrics.json"
 PER_FRAME_FILE = "per_frame.csv"
+SCORES_FILE = "scores.jsonl"
+"""What a scoring that is not finished has so far: one line a frame."""
 LOG_FILE = "log.txt"
 PLOT_FILE = "trajectory.png"
 
@@ -59,6 +61,7 @@ OTHER_FILES = (
     PROVENANCE_FILE,
     METRICS_FILE,
     PER_FRAME_FILE,
+    SCORES_FILE,
     LOG_FILE,
     PLOT_FILE,
 )

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bench.contracts.evaluator import ViewEvaluator
+from bench.contracts.evaluator import ViewEvaluator, ViewScores
 from bench.contracts.metric import Metric
 from bench.contracts.saved_run import LpipsMetric, SavedRun, SavedView
 from bench.errors import require_choice
@@ -58,18 +58,15 @@ class DialectsEvaluator(ViewEvaluator):
         self._run = run
         self._views = _views_of_each(run, self.config.views)
         self._lpips = run.lpips if any(self._views.values()) else LpipsMetric(None)
-        self._scores: dict[str, list[Scores]] = {dialect.name: [] for dialect in DIALECTS}
 
-    def view(self, view: SavedView) -> None:
-        """Score a left view under the dialects that chose it."""
-        if view.camera != "left" or view.render is None:
-            return
+    def view(self, view: SavedView) -> dict[str, Any] | None:
+        """Scores of a left view under each of the dialects that chose it."""
         asked = [dialect for dialect in DIALECTS if view.number in self._views[dialect.name]]
-        if asked:
-            for name, values in score_view(asked, view, view.render, self._lpips.distance).items():
-                self._scores[name].append(values)
+        if view.camera != "left" or not asked or view.render is None:
+            return None
+        return score_view(asked, view, view.render, self._lpips.distance)
 
-    def finish(self) -> dict[str, Any]:
+    def finish(self, scores: ViewScores) -> dict[str, Any]:
         """``dialects.<name>`` with n_views, the means of ``METRICS`` over them, ate_m, and a stamp that says how.
 
         The images are the saved 8-bit ones, LiDAR is the reference depth, and the rendered depth is the one that the
@@ -79,7 +76,7 @@ class DialectsEvaluator(ViewEvaluator):
         weights = about_lpips.get("protocol", {})
         parts, notes = {}, []
         for dialect in DIALECTS:
-            of_dialect = self._scores[dialect.name]
+            of_dialect: list[Scores] = [each[dialect.name] for each in scores.values() if dialect.name in each]
             ate = _ate(run, dialect)
             metrics = {name: _mean([score[name] for score in of_dialect]) for name in METRICS}
             metrics["ate_m"] = None if isinstance(ate, str) else ate
@@ -95,17 +92,17 @@ class DialectsEvaluator(ViewEvaluator):
         return stamp if self.config.views == "own" else stamp | {"views": "all left views"}
 
 
-def _views_of_each(run: SavedRun, which: str) -> dict[str, list[int]]:
+def _views_of_each(run: SavedRun, which: str) -> dict[str, set[int]]:
     """Numbers of the rendered left views that each dialect scores."""
     rendered = run.rendered("left")
     if not rendered:
-        return {dialect.name: [] for dialect in DIALECTS}
+        return {dialect.name: set() for dialect in DIALECTS}
     if which == "all":
-        return {dialect.name: rendered for dialect in DIALECTS}
+        return {dialect.name: set(rendered) for dialect in DIALECTS}
     positions = np.searchsorted(run.dataset.numbers, rendered)
     mapped = np.isin(rendered, run.numbers("left", "train"))
     frames = len(run.dataset)
-    return {d.name: np.array(rendered)[d.scores_view(positions, mapped, frames)].tolist() for d in DIALECTS}
+    return {d.name: set(np.array(rendered)[d.scores_view(positions, mapped, frames)].tolist()) for d in DIALECTS}
 
 
 def _ate(run: SavedRun, dialect: Dialect) -> float | str:

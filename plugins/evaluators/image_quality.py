@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.contracts.evaluator import ViewEvaluator
+from bench.contracts.evaluator import ViewEvaluator, ViewScores
 from bench.contracts.metric import Metric
 from bench.contracts.saved_run import GROUPS, VIEW_OF_GROUP, SavedRun, SavedView
 from bench.errors import BenchError
@@ -37,7 +37,6 @@ class ImageEvaluator(ViewEvaluator):
     def start(self, run: SavedRun) -> None:
         """See whether there is something to score, and with which metrics."""
         self._run = run
-        self._scores: dict[tuple[str, int], dict[str, float | None]] = {}
         self._about: dict[str, Any] = {}
         self._nothing = ""
         if not (run.rendered("left") or run.rendered("right")):
@@ -52,20 +51,19 @@ class ImageEvaluator(ViewEvaluator):
         if run.protocol.right_view and (reason := _about_right(run)):
             self._about = {**self._about, "notes": {**self._about.get("notes", {}), "right": reason}}
 
-    def view(self, view: SavedView) -> None:
-        """Score a render against its image."""
+    def view(self, view: SavedView) -> dict[str, Any] | None:
+        """Scores of a render against its image."""
         if self._nothing or view.render is None:
-            return
+            return None
         score = _score if self._run.protocol.sky == "in" else _score_without_sky
-        self._scores[view.camera, view.number] = score(self._run, view, view.render)
+        return score(self._run, view, view.render)
 
-    def finish(self) -> dict[str, Any]:
+    def finish(self, scores: ViewScores) -> dict[str, Any]:
         """``views.<group>`` with n, psnr_db, ssim, lpips (means of per-image values); absent groups have no view."""
         if self._nothing:
             return {"views": {}, "notes": {"image": self._nothing}}
-        scores = self._scores
-        for (camera, number), values in scores.items():
-            self._run.add_per_frame(camera, number, **values)
+        for view, values in scores.items():
+            self._run.add_per_frame(*view, **values)
         views = {}
         for group in GROUPS:
             camera = VIEW_OF_GROUP[group]

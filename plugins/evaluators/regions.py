@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.contracts.evaluator import ViewEvaluator
+from bench.contracts.evaluator import ViewEvaluator, ViewScores
 from bench.contracts.metric import Metric
 from bench.contracts.saved_run import GROUPS, VIEW_OF_GROUP, SavedRun, SavedView
 from bench.errors import BenchError
@@ -51,15 +51,14 @@ class RegionsEvaluator(ViewEvaluator):
         self.config = config
 
     def start(self, run: SavedRun) -> None:
-        """Nothing is scored yet."""
+        """There is nothing to get ready."""
         self._run = run
-        self._scores: dict[int, Scores] = {}
 
-    def view(self, view: SavedView) -> None:
-        """Score the regions of a left view."""
+    def view(self, view: SavedView) -> dict[str, Any] | None:
+        """Scores of the regions of a left view."""
         render = view.render
         if view.camera != "left" or render is None:
-            return
+            return None
         reference = view.lidar if view.true_depth is None else view.true_depth
         sky, depth = view.true_sky, view.depth
         bins = {} if reference is None else distance_bins(reference, self.config.edges_m)
@@ -75,22 +74,22 @@ class RegionsEvaluator(ViewEvaluator):
                 # The bin has chosen the pixels, from its lower edge on.
                 error, _ = depth_l1_cm(depth, of_bin, -1.0, None)
                 scores[name]["depth_l1_cm"] = error
-        self._scores[view.number] = scores
+        return scores
 
-    def finish(self) -> dict[str, Any]:
+    def finish(self, scores: ViewScores) -> dict[str, Any]:
         """``regions.<group>.<region>`` with n views, pixels, psnr_db and depth_l1_cm (means of per-view values).
 
         Distance is the data set's true depth, and LiDAR where it has none; ``regions.distance`` says which. Views
         without a pixel in a region don't enter there. Regions that no view has are absent, with a note for the sky.
         """
-        run, scores = self._run, self._scores
+        run = self._run
         if not scores:
             return {"regions": {}, "notes": {"regions": "the run saved no left renders"}}
         regions: dict[str, Any] = {"distance": _source_of_distance(run)}
         for group in GROUPS:
             if VIEW_OF_GROUP[group] != "left":
                 continue
-            of_group = [scores[number] for number in run.numbers("left", group) if number in scores]
+            of_group = [scores["left", each] for each in run.numbers("left", group) if ("left", each) in scores]
             if of_group:
                 regions[group] = _summarised(of_group)
         missing = [] if regions["distance"] else ["the data set knows no depth"]

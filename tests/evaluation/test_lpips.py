@@ -58,13 +58,6 @@ def test_gives_the_published_values(weights_root: Path, test_data: Path) -> None
         metric([near[:30, :40]], [far[:30, :40]])
 
 
-def test_building_it_leaves_the_random_generator_and_torch_as_they_were(weights_root: Path) -> None:
-    before, register_fake = torch.get_rng_state(), torch.library.register_fake
-    Lpips(WeightsFound(weights_root / "lpips" / "alex_features.npz", "test"))
-    assert torch.equal(before, torch.get_rng_state())
-    assert torch.library.register_fake is register_fake
-
-
 def test_the_order_of_sources(nowhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hub = nowhere / "hub" / "checkpoints" / "alexnet-owt-7be5be79.pth"
     own = nowhere / "weights" / "lpips" / "alex_features.npz"
