@@ -15,6 +15,7 @@ import numpy as np
 
 from bench.authoring import probes
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
+from bench.contracts.evaluator import ViewEvaluator
 from bench.evaluation.run_evaluators import merge
 from bench.evaluation.saved_run import SavedRunFolder
 from bench.runs.folder import RESOURCES_FILE, RunFolder
@@ -191,12 +192,31 @@ def _repeats(subject: Subject) -> str:
     with subject.saved_run() as run:
         first, second = subject.scores(run), subject.scores(SavedRunFolder(run.path))
         rows = run.per_frame()
+        other_order = _in_other_order(subject, run)
     if first != second:
         raise ContractBrokenError(
             "the same run twice gave different scores", "equal scores", "no randomness", "evaluate"
         )
+    if other_order not in (None, first):
+        raise ContractBrokenError(
+            "views in another order, their scores kept as JSON, gave different scores",
+            "equal scores: frames are scored by several threads, and those of a stopped scoring come from a file",
+            "keep nothing in view(): return its scores as numbers by name, and add them up in finish()",
+            "view",
+        )
     columns = [column for column in rows.columns if column not in ("view", "number")]
     return "twice the same scores" + (f"; per frame: {', '.join(columns)}" if columns else "")
+
+
+def _in_other_order(subject: Subject, run: SavedRunFolder) -> dict[str, Any] | None:
+    """What an evaluator of pictures says when the last view comes first, and its scores have been in a file."""
+    evaluator = subject.candidate.build()
+    if not isinstance(evaluator, ViewEvaluator):
+        return None
+    evaluator.start(run)
+    backwards = {(view.camera, view.number): evaluator.view(view) for view in reversed(list(run.views()))}
+    read = {view: json.loads(json.dumps(scores)) for view, scores in reversed(backwards.items()) if scores is not None}
+    return evaluator.finish(read)
 
 
 def _stopped_run(subject: Subject) -> str | Note:

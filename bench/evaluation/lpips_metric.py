@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib.metadata
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -89,13 +89,7 @@ def _distance(features: torch.Tensor, linear: torch.Tensor) -> torch.Tensor:
 def _linear_layers() -> list[torch.Tensor]:
     """The five weights (C,) that LPIPS has trained; of the package only this file is read, since importing it imports
     torchvision and fills an AlexNet with random numbers."""
-    package = importlib.util.find_spec("lpips")
-    path = (
-        Path(package.origin if package is not None and package.origin is not None else "lpips").parent
-        / "weights"
-        / "v0.1"
-        / "alex.pth"
-    )
+    path = Path(str(importlib.metadata.distribution("lpips").locate_file("lpips/weights/v0.1/alex.pth")))
     try:
         layers = torch.load(path, map_location="cpu", weights_only=True)
         return [layers[f"lin{index}.model.1.weight"].flatten() for index in range(len(CONVOLUTIONS))]
