@@ -62,3 +62,27 @@ def test_a_mistake_is_found_and_placed(mistake: Mistake, finding_about: Callable
     assert Path(file) == tmp_path / "probed.py"
     pointed_at = Path(file).read_text().splitlines()[int(line) - 1]
     assert mistake.line in pointed_at
+
+
+@pytest.mark.slow
+def test_an_evaluator_that_counts_on_the_order_of_views_is_found(finding_about: Callable[..., Finding]) -> None:
+    """It takes the view that came last for the last one of the run."""
+    methods = """def start(self, run):
+        pass
+
+    def view(self, view):
+        self.last = view.number
+
+    def finish(self, scores):
+        return {"probed": {"path_m": float(self.last)}}
+
+    def unused(self, run):"""
+    found = finding_about(
+        "evaluator",
+        "determinism",
+        ("import Evaluator\n", "import ViewEvaluator\n"),
+        ("Probed(Evaluator)", "Probed(ViewEvaluator)"),
+        ("def evaluate(self, run: SavedRun) -> dict[str, Any]:", methods),
+    )
+    assert "views in another order" in found.seen
+    assert "keep nothing in view()" in found.mend
