@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.events import read_events
 from bench.runs.folder import RunFolder
 from bench.slam.run import run_system
-from bench.types import Event, Keyframe, MappingReport
+from bench.types import Event, Keyframe, MappingReport, StereoFrame
 from plugins.datasets.street import Street
 
 pytestmark = pytest.mark.slow
@@ -211,3 +212,44 @@ def test_what_a_data_set_tells_is_a_warning_of_the_run(tmp_path: Path, monkeypat
     folder = run_system(compose_run([*TINY[:3], "mapper=none", "tracker=groundtruth", f"output={tmp_path / 'run'}"]))
     assert json.loads((folder.path / "status.json").read_text())["warnings"] == ["2 images have no partner"]
     assert "2 images have no partner" in (folder.path / "log.txt").read_text()
+
+
+def sky_at(numbers: set[int], monkeypatch: pytest.MonkeyPatch, standing: range = range(0)) -> None:
+    """The street, but for frames that see nothing but sky, and a stretch in which the car stands still."""
+    frame = Street.frame
+
+    def seen(self: Street, position: int) -> StereoFrame:
+        moved = position - len([each for each in standing if each < position])
+        there = frame(self, standing[0] if position in standing else moved)
+        sky = np.full_like(there.left, (150, 190, 240))
+        left, right = (sky, sky) if position in numbers else (there.left, there.right)
+        return replace(there, number=position, timestamp=position * 0.1, left=left, right=right)
+
+    monkeypatch.setattr(Street, "frame", seen)
+
+
+def test_standing_still_for_three_seconds_adds_rows_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """30 equal frames; after them one that is all sky is lost, and the next is found again."""
+    sky_at({35}, monkeypatch, standing=range(3, 33))
+    settings = ("dataset.frames=37", "dataset.width=320", "dataset.height=96", "protocol.right_view=false")
+    folder = run(tmp_path / "run", *settings, "mapper.final_coarse_iterations=0", "mapper.final_iterations=0")
+    rows = pd.read_csv(folder.path / "frames.csv")
+    assert rows["number"].tolist() == list(range(37))
+    assert not rows["mapped"][5:33].any()
+    assert rows["mapped"][3:33].sum() <= 2
+    assert rows["state"].tolist() == ["ok"] * 35 + ["lost", "ok"]
+    still = pd.read_csv(folder.path / "trajectory.csv").query("5 <= number < 33").filter(like="T_").to_numpy()
+    np.testing.assert_allclose(still, np.broadcast_to(still[0], still.shape), atol=1e-3)
+    assert state_of(folder.path)[::2] == ("done", 37)
+
+
+def test_a_frame_that_is_all_sky_is_mapped_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sky_at({2}, monkeypatch)
+    folder = run(tmp_path / "run", "dataset.frames=4", "tracker=groundtruth", "mapper.final_coarse_iterations=1")
+    assert state_of(folder.path) == ("done", "", 4)
+    assert folder.has_view("left", 2)
+    assert any("knew no depth at all in 1 of " in warning for warning in folder.warnings)
+    evaluate_run(folder.path)
+    assert np.isfinite(pd.read_csv(folder.path / "per_frame.csv")["psnr_db"]).all()
