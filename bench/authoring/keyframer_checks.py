@@ -65,14 +65,13 @@ class Subject:
             decision = keyframer.update(frame, tracking)
             _require_decision(decision, frame.number, admitted)
             decisions.append(decision)
-            if shown is None:
-                continue
-            if decision.is_keyframe and tracking.T_world_cam is not None and truth is not None:
+            if shown is not None and decision.is_keyframe and tracking.T_world_cam is not None and truth is not None:
                 shown.learn(frame, tracking.T_world_cam, list(decision.window), truth)
             if len(decisions) == break_after:
                 state = probes.through_a_file(keyframer.state())
                 keyframer = self.candidate.build()
-                keyframer.use_map(shown.mapper.view())
+                if shown is not None:
+                    keyframer.use_map(shown.mapper.view())
                 keyframer.restore(state)
         return decisions
 
@@ -156,9 +155,9 @@ def _repeats(subject: Subject) -> str:
 
 def _resumes(subject: Subject) -> str | Note:
     keyframer, shown = subject.started()
-    if shown is None:
-        return "it does not look at the map: its frames are decided again after a kill"
     if keyframer.state() is None:
+        if shown is None:
+            return "it gives no state(): its frames are decided again after a kill"
         return Note("it looks at the map and gives no state(): runs with it have no checkpoints")
     half = len(subject.tracked) // 2
     if subject.decide(subject.tracked) != subject.decide(subject.tracked, break_after=half):

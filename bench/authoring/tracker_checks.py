@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from bench.authoring.poses import require_pose, require_trajectory
 from bench.authoring.shown_map import ShownMap
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.evaluation.trajectory import absolute_trajectory_error
+from bench.io.array_store import ArrayStore
 from bench.types import StereoFrame, TrackingResult, Trajectory
 
 FRAMES = 8
@@ -53,10 +56,22 @@ class Subject:
         """A fresh instance, and the map that it looks at; None where it does not."""
         tracker = self.candidate.build()
         shown = ShownMap(self.candidate, self.dataset) if tracker.uses_map else None
+        self._begin(tracker, shown, self._new_store())
+        return tracker, shown
+
+    def _begin(self, tracker: Any, shown: ShownMap | None, store: ArrayStore) -> None:
         tracker.start(self.dataset)
         if shown is not None:
             tracker.use_map(shown.mapper.view())
-        return tracker, shown
+        self._store = store
+        tracker.use_store(store)
+
+    def _new_store(self) -> ArrayStore:
+        return ArrayStore(Path(tempfile.mkdtemp(dir=self._stores.name)))
+
+    @cached_property
+    def _stores(self) -> tempfile.TemporaryDirectory[str]:
+        return tempfile.TemporaryDirectory(prefix="bgs-check-")
 
     @staticmethod
     def map(shown: ShownMap | None, frame: StereoFrame, tracker: Any) -> None:
@@ -82,16 +97,23 @@ class Subject:
             tracked += [] if result.state == "lost" else [frame.number]
             require_trajectory(tracker.trajectory(), tracked, f"trajectory() after frame {frame.number}", "trajectory")
             self.map(shown, frame, tracker)
-            if shown is not None and len(results) == break_after:
-                state = probes.through_a_file(tracker.state())
-                tracker.finish()
-                tracker = self.candidate.build()
-                tracker.start(self.dataset)
-                tracker.use_map(shown.mapper.view())
-                tracker.restore(state)
+            if len(results) == break_after:
+                tracker = self._resumed(tracker, shown, self.frames[break_after])
         tracker.finish()
         require_trajectory(tracker.trajectory(), tracked, "trajectory() after finish()", "finish")
         return Drive(results, tracker.trajectory(), seconds / len(self.frames) * 1e3)
+
+    def _resumed(self, tracker: Any, shown: ShownMap | None, next_frame: StereoFrame) -> Any:
+        """A fresh instance with what a checkpoint holds, written when the other one had tracked a frame more."""
+        state, store = tracker.state(), self._store
+        tracker.track(next_frame)
+        state = probes.through_a_file(state)
+        tracker.finish()
+        store.discard(state.get("stored", ()))
+        tracker = self.candidate.build()
+        self._begin(tracker, shown, store)
+        tracker.restore(state)
+        return tracker
 
 
 def _require_result(result: Any, frame: StereoFrame) -> None:
@@ -165,9 +187,9 @@ def _repeats(subject: Subject) -> str:
 
 def _resumes(subject: Subject) -> str | Note:
     tracker, _ = subject.started()
-    if not tracker.uses_map:
-        return "it does not look at the map: its frames are tracked again after a kill"
     if tracker.state() is None:
+        if not tracker.uses_map:
+            return "it gives no state(): its frames are tracked again after a kill"
         return Note("it looks at the map and gives no state(): runs with it have no checkpoints")
     again = subject.drive_again(break_after=len(subject.frames) // 2)
     first, second = subject.drive.trajectory, again.trajectory

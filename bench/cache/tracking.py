@@ -23,6 +23,7 @@ from bench.code_version import code_version, project_version
 from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
+from bench.io.array_store import ArrayStore
 from bench.machine import what_computes
 from bench.registry import PluginConfig
 from bench.types import StereoFrame, TrackingResult, Trajectory
@@ -58,6 +59,7 @@ class CachedTracker(Tracker):
     def start(self, dataset: Dataset) -> None:
         """Look for a recording; without one, start the tracker."""
         self._dataset = dataset
+        self._kept: ArrayStore | None = None
         self._position = 0
         self._poses = np.zeros((0, 4, 4))
         self._repeated = self._read()
@@ -65,6 +67,36 @@ class CachedTracker(Tracker):
         if self._repeated is None:
             self._tracker.start(dataset)
             self._recording = Recording()
+
+    def use_store(self, store: ArrayStore) -> None:
+        """For the tracker, if it is asked."""
+        self._kept = store
+        if self._repeated is None:
+            self._tracker.use_store(store)
+
+    def state(self) -> dict[str, Any] | None:
+        """How much of the recording was repeated, or what the tracker gives."""
+        if self._repeated is not None:
+            return {"repeated": self._position}
+        state = self._tracker.state()
+        return None if state is None else state | {"cached_position": self._position}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``. The tracker then keeps no recording, since it did not see all frames."""
+        if "repeated" in state:
+            self._position = state["repeated"]
+            if self._repeated is None:
+                self._recording = None
+                self._show(self._position)
+            else:
+                for position in range(self._position):
+                    self._repeat(position)
+            return
+        if self._repeated is not None:  # another run has made it meanwhile
+            self._repeated = None
+            self._start_tracker()
+        self._recording, self._position = None, state["cached_position"]
+        self._tracker.restore({key: value for key, value in state.items() if key != "cached_position"})
 
     def track(self, frame: StereoFrame) -> TrackingResult:
         """The recorded answer, or the tracker's; ``last_cost`` says what computing it took."""
@@ -119,8 +151,17 @@ class CachedTracker(Tracker):
         """The frames are not those of the recording: show the tracker what it has not seen."""
         log.info("cache: frame %d is not the one that was recorded; tracking from the first on", position)
         self._repeated = None
+        self._start_tracker()
+        self._show(position)
+
+    def _start_tracker(self) -> None:
         self._tracker.start(self._dataset)
-        for each in range(position):
+        if self._kept is not None:
+            self._tracker.use_store(self._kept)
+
+    def _show(self, count: int) -> None:
+        """Show the tracker the first frames."""
+        for each in range(count):
             self._tracker.track(self._dataset.frame(each))
 
     def _record(self, digest: bytes, result: TrackingResult, seconds: float) -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from bench.geometry import se3
+from bench.io.torch_files import from_state, to_state
 from bench.tracking.features import Descriptors, Features, Ints
+from bench.tracking.growing import Growing
 from bench.tracking.local_ba import Problem, Solution
 from bench.tracking.pose_optimization import Observations
 from bench.types import Float, StereoCamera
@@ -91,9 +94,20 @@ class LocalMap:
         self._fixed = fixed_keyframes
         self._scale_factor = scale_factor
         self._next_id = 0
-        self.poses: list[Float] = []
+        self._poses = Growing(np.empty((0, 4, 4)))
+        self._moved_from = 0
         self.keyframes: list[KeyframeRecord] = []
         self.points = self._no_points()
+
+    @property
+    def poses(self) -> Float:
+        """T_world_cam (K, 4, 4) of all keyframes ever, as known now; a view that the next keyframe makes stale."""
+        return self._poses.rows
+
+    def moved_from(self) -> int:
+        """Index from which on poses may have changed since this was asked last."""
+        first, self._moved_from = self._moved_from, len(self._poses)
+        return first
 
     @staticmethod
     def _no_points() -> Points:
@@ -114,8 +128,8 @@ class LocalMap:
 
     def add_keyframe(self, view: View, T_cam_world: Float, point_ids: Ints, max_depth: float) -> None:
         """Make the frame a keyframe; keypoints nearer than ``max_depth`` metres without a map point found new ones."""
-        index = len(self.poses)
-        self.poses.append(se3.inverse(T_cam_world))
+        index = len(self._poses)
+        self._poses.append(se3.inverse(T_cam_world))
         point_ids = point_ids.copy()
         rows = self.rows(point_ids)
         known = np.flatnonzero(rows >= 0)
@@ -197,14 +211,15 @@ class LocalMap:
             if k >= problem.fixed:
                 record.T_cam_world = solution.T_cam_world[k]
                 self.poses[record.index] = se3.inverse(record.T_cam_world)
+                self._moved_from = min(self._moved_from, record.index)
             record.point_ids[keypoints[~solution.inliers[problem.blocks[k]]]] = NO_POINT
 
     def correct(self, poses: Float) -> None:
         """Take over T_world_cam (K, 4, 4) of all keyframes ever; points move with the keyframe that saw them last."""
-        motion = poses @ se3.inverse(np.array(self.poses))
+        motion = poses @ se3.inverse(self.poses)
         moved = motion[self.points.seen]
         self.points.position = (moved[:, :3, :3] @ self.points.position[:, :, None])[..., 0] + moved[:, :3, 3]
-        self.poses = list(poses)
+        self.poses[:], self._moved_from = poses, 0
         for record in self.keyframes:
             record.T_cam_world = se3.inverse(poses[record.index])
 
@@ -220,3 +235,34 @@ class LocalMap:
         keep &= points.found >= _MIN_FOUND_RATIO * points.visible
         keep &= (sightings >= 2) | (points.born > newest - _PROBATION)
         points.keep(keep)
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint: poses, keyframes with what they saw, points."""
+        return {
+            "next_id": self._next_id,
+            **to_state({"poses": self.poses}),
+            "keyframes": [_state_of(record) for record in self.keyframes],
+            "points": to_state(vars(self.points)),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``."""
+        self._next_id = state["next_id"]
+        self._poses, self._moved_from = Growing(state["poses"].numpy()), 0
+        self.keyframes = [_record_of(record) for record in state["keyframes"]]
+        self.points = Points(**_unsigned(from_state(state["points"]), "descriptor"))
+
+
+def _state_of(record: KeyframeRecord) -> dict[str, Any]:
+    view = {key: value for key, value in vars(record.view).items() if key != "features"}
+    own = {key: value for key, value in vars(record).items() if key != "view"}
+    return {"own": to_state(own), "view": to_state(view), "features": to_state(vars(record.view.features))}
+
+
+def _record_of(state: dict[str, Any]) -> KeyframeRecord:
+    features = Features(**_unsigned(from_state(state["features"]), "descriptors"))
+    return KeyframeRecord(view=View(features, **from_state(state["view"])), **from_state(state["own"]))
+
+
+def _unsigned(arrays: dict[str, Any], key: str) -> dict[str, Any]:
+    return arrays | {key: arrays[key].view(np.uint64)}

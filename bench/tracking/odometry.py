@@ -5,17 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from bench.errors import BenchError
 from bench.geometry import se3
+from bench.io.torch_files import from_state, to_state
 from bench.tracking import local_ba
 from bench.tracking.features import Grey, Ints, OrbExtractor
 from bench.tracking.local_map import NO_POINT, KeyframeRecord, LocalMap, View
 from bench.tracking.localisation import Localiser, Matches
 from bench.tracking.stereo_match import match_stereo
 from bench.types import Float, StereoCamera, TrackingState
+
+_STATE = ("T_world_cam", "velocity", "velocity_known", "timestamp", "failures", "reference_inliers")
+"""What the odometry knows besides its map."""
 
 Relocaliser = Callable[[View], tuple[int, Float] | None]
 """Recognises a place: (index of a keyframe, T_keyframe_cam (4, 4)), verified, or None."""
@@ -90,8 +95,12 @@ class StereoOdometry:
         return self._map.poses[index]
 
     def keyframe_poses(self) -> Float:
-        """Poses (K, 4, 4) T_world_cam of all keyframes that the odometry ever had, as known now."""
-        return np.array(self._map.poses, dtype=np.float64).reshape(-1, 4, 4)
+        """Poses (K, 4, 4) T_world_cam of all keyframes that the odometry ever had, until the next ``track``."""
+        return self._map.poses
+
+    def moved_from(self) -> int:
+        """Index of the first keyframe whose pose may have changed since this was asked last."""
+        return self._map.moved_from()
 
     @property
     def new_keyframe(self) -> KeyframeRecord | None:
@@ -115,13 +124,23 @@ class StereoOdometry:
         self._T_world_cam = poses[-1] @ se3.inverse(before[-1]) @ self._T_world_cam
         self._map.correct(poses)
 
+    def state(self) -> dict[str, Any]:
+        """All that tracking goes on from, for a checkpoint."""
+        return {"map": self._map.state(), **to_state({name: getattr(self, f"_{name}") for name in _STATE})}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``."""
+        self._map.restore(state["map"])
+        for name, value in from_state({name: state[name] for name in _STATE}).items():
+            setattr(self, f"_{name}", value)
+
     def track(self, left: Grey, right: Grey, timestamp: float) -> FramePose:
         """Pose of the next frame; grey images (H, W) uint8, timestamp in seconds."""
         self._new_keyframe = None
         view = self._observe(left, right)
         elapsed = 0.0 if self._timestamp is None else max(timestamp - self._timestamp, 0.0)
         predicted = self._T_world_cam @ se3.exp(self._velocity * elapsed)
-        if not self._map.poses:
+        if not len(self._map.poses):
             result = self._begin(view, predicted)
         else:
             matches = self._locate(view, predicted)
@@ -142,7 +161,7 @@ class StereoOdometry:
 
     def _begin(self, view: View, predicted: Float) -> FramePose:
         """Start a local map at ``predicted``. The very first map is "ok": its pose is the definition of the world."""
-        first = not self._map.poses
+        first = not len(self._map.poses)
         if np.isfinite(view.disparity).sum() < self._set.min_new_map_points:
             return self._result("lost", None)
         nothing = np.full(len(view.features), NO_POINT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +12,9 @@ from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError, require_least
 from bench.geometry import se3
+from bench.io.torch_files import from_state, to_state
 from bench.registry import PluginConfig, register
-from bench.types import Float, StereoFrame, TrackingResult, Trajectory
+from bench.types import Float, Mask, StereoFrame, TrackingResult, Trajectory
 
 
 @dataclass(frozen=True)
@@ -39,16 +41,16 @@ class GroundTruth(Tracker):
     def __init__(self, config: GroundTruthConfig) -> None:
         self._config = config
         self._truth: Trajectory | None = None
-        self._tracked: list[int] = []
+        self._tracked: Mask = np.zeros(0, dtype=bool)
 
     def start(self, dataset: Dataset) -> None:
         """Fetch the poses; raises ``BenchError`` when the data set has none."""
         self._truth = dataset.ground_truth()
-        self._tracked = []
         if self._truth is None or len(self._truth) == 0:
             raise BenchError(
                 f"tracker=groundtruth: {dataset.label} has no ground-truth poses. Use tracker=stereo_orb, or add poses."
             )
+        self._tracked = np.zeros(len(self._truth), dtype=bool)
         if self._config.noise_m or self._config.noise_deg:
             errors = self._errors(np.arange(len(self._truth)))
             self._truth = replace(self._truth, T_world_cam=self._truth.T_world_cam @ se3.exp(errors))
@@ -66,15 +68,22 @@ class GroundTruth(Tracker):
     def track(self, frame: StereoFrame) -> TrackingResult:
         """The frame's true pose; a frame without ground truth is lost."""
         assert self._truth is not None, "start() comes before track()"
-        T = self._truth.pose_of(frame.number)
-        if T is None:
+        found = self._truth.numbers == frame.number
+        if not found.any():
             return TrackingResult(None, "lost")
-        self._tracked.append(frame.number)
-        return TrackingResult(T, "ok")
+        self._tracked |= found
+        return TrackingResult(self._truth.T_world_cam[found.argmax()], "ok")
 
     def trajectory(self) -> Trajectory:
         """Poses of the frames tracked so far."""
         assert self._truth is not None, "start() comes before trajectory()"
-        tracked = np.isin(self._truth.numbers, self._tracked)
-        truth = self._truth
+        truth, tracked = self._truth, self._tracked
         return Trajectory(truth.T_world_cam[tracked], truth.numbers[tracked], truth.timestamps[tracked])
+
+    def state(self) -> dict[str, Any]:
+        """Which poses were given so far."""
+        return to_state({"tracked": self._tracked})
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``."""
+        self._tracked = from_state(state)["tracked"]

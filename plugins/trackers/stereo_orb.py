@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError, require_between, require_least
+from bench.io.array_store import ArrayStore
 from bench.io.images import grey
+from bench.io.torch_files import to_state
 from bench.registry import PluginConfig, register
+from bench.tracking.frame_track import FrameTrack
+from bench.tracking.growing import Archive, Growing
 from bench.tracking.loops import vocabulary
 from bench.tracking.loops.closer import Closure, LoopCloser
 from bench.tracking.loops.pose_graph import import_gtsam
@@ -91,12 +96,15 @@ class StereoOrb(Tracker):
         self._vocabulary = vocabulary.load(Path(config.vocabulary)) if config.vocabulary else None
         self._odometry: StereoOdometry | None = None
         self._closer: LoopCloser | None = None
-        self._keyframe_numbers: list[int] = []
-        self._frames: list[tuple[int, float, FramePose]] = []
+        self._keyframe_numbers = Growing(np.empty(0, np.int64))
+        self._frames = FrameTrack()
+        self._archive = Archive()
 
     def start(self, dataset: Dataset) -> None:
         """Begin a new sequence with its camera."""
         dataset.require_right("tracker=stereo_orb", _INSTEAD)
+        self._keyframe_numbers = Growing(np.empty(0, np.int64))
+        self._frames, self._archive = FrameTrack(), Archive()
         self._closer = LoopCloser(
             dataset.camera,
             self._config.loops,
@@ -104,20 +112,45 @@ class StereoOrb(Tracker):
             self._settings.scale_factor,
             self._vocabulary,
             self._config.loop_closure,
+            self._archive,
         )
         self._odometry = StereoOdometry(dataset.camera, self._settings, self._closer.relocalise)
-        self._keyframe_numbers = []
-        self._frames = []
+
+    def use_store(self, store: ArrayStore) -> None:
+        """Places, words, and poses of long ago go there."""
+        self._archive.use_store(store)
+
+    def state(self) -> dict[str, Any]:
+        """All that tracking goes on from."""
+        assert self._odometry is not None, "start() comes before state()"
+        assert self._closer is not None
+        parts = {
+            "odometry": self._odometry.state(),
+            "closer": self._closer.state(),
+            "frames": self._frames.state(self._archive),
+            **to_state({"keyframe_numbers": self._keyframe_numbers.rows}),
+        }
+        return parts | self._archive.state()  # last: the parts put into it what has come to rest
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``."""
+        assert self._odometry is not None, "start() comes before restore()"
+        assert self._closer is not None
+        self._archive.restore(state)
+        self._odometry.restore(state["odometry"])
+        self._closer.restore(state["closer"])
+        self._frames.restore(state["frames"], self._archive)
+        self._keyframe_numbers = Growing(state["keyframe_numbers"].numpy())
 
     def track(self, frame: StereoFrame) -> TrackingResult:
         """Pose of the frame after local bundle adjustment; "weak" where it is doubtful, "lost" without an inlier."""
         assert self._odometry is not None, "start() comes before track()"
         left, right = frame.pair("tracker=stereo_orb", _INSTEAD)
         found = self._odometry.track(grey(left), grey(right), frame.timestamp)
-        self._frames.append((frame.number, frame.timestamp, found))
+        self._frames.add(frame.number, frame.timestamp, found)
         pose, events = found.T_world_cam, []
         if found.recognised is not None:
-            events.append(Event("relocalised", frame.number, {"to_frame": self._keyframe_numbers[found.recognised]}))
+            events.append(Event("relocalised", frame.number, {"to_frame": self._number_of(found.recognised)}))
         closure = self._closed_loop(frame.number)
         if closure is not None:
             events.append(self._event(closure))
@@ -139,7 +172,7 @@ class StereoOrb(Tracker):
 
     def _event(self, closure: Closure) -> Event:
         values = {
-            "to_frame": self._keyframe_numbers[closure.old],
+            "to_frame": self._number_of(closure.old),
             "inliers": closure.inliers,
             "loops_believed": closure.loops,
             "loops": closure.known,
@@ -147,19 +180,17 @@ class StereoOrb(Tracker):
             "keyframes": len(closure.poses),
             "farthest_m": closure.farthest_m,
         }
-        return Event("loop_closed", self._keyframe_numbers[closure.new], values)
+        return Event("loop_closed", self._number_of(closure.new), values)
+
+    def _number_of(self, keyframe: int) -> int:
+        """Of its frame."""
+        return int(self._keyframe_numbers.rows[keyframe])
 
     def trajectory(self) -> Trajectory:
         """Poses that follow all later corrections of the keyframes they hang on."""
-        kept = [(number, time, found) for number, time, found in self._frames if found.T_world_cam is not None]
-        poses = [self._corrected(found) for _, _, found in kept]
-        return Trajectory(
-            np.array(poses, dtype=np.float64).reshape(-1, 4, 4),
-            np.array([number for number, _, _ in kept], dtype=np.int64),
-            np.array([time for _, time, _ in kept], dtype=np.float64),
-        )
+        assert self._odometry is not None, "start() comes before trajectory()"
+        return self._frames.trajectory(self._odometry.keyframe_poses(), self._odometry.moved_from())
 
     def _corrected(self, found: FramePose) -> Float:
         assert self._odometry is not None
-        anchor = np.eye(4) if found.keyframe < 0 else self._odometry.keyframe_pose(found.keyframe)
-        return anchor @ found.T_keyframe_cam
+        return self._odometry.keyframe_pose(found.keyframe) @ found.T_keyframe_cam

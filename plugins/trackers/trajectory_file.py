@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,8 +13,10 @@ from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError, require_choice
 from bench.geometry.axis_conventions import suspected_convention
+from bench.io.torch_files import to_state
 from bench.io.trajectories import known_poses, read_kitti_poses, read_tum, read_tum_lines, values_per_line
 from bench.registry import PluginConfig, register
+from bench.tracking.growing import Growing
 from bench.types import Event, Float, StereoFrame, TrackingResult, Trajectory
 
 log = logging.getLogger(__name__)
@@ -58,7 +61,8 @@ class TrajectoryFile(Tracker):
         self._path = Path(config.path).expanduser()
         self._by_number: dict[int, Float] = {}
         self._by_time: Trajectory | None = None
-        self._frames: list[tuple[int, float, Float]] = []
+        self._numbers, self._times = Growing(np.empty(0, np.int64)), Growing(np.empty(0))
+        self._poses = Growing(np.empty((0, 4, 4)))
         self._seen = self._expected = 0
         self._in_gap = False
         self._doubts: list[str] = []
@@ -68,7 +72,9 @@ class TrajectoryFile(Tracker):
 
         A trajectory that seems to be in another convention is warned of, not refused: nobody can be sure of it.
         """
-        self._by_number, self._by_time, self._frames = {}, None, []
+        self._by_number, self._by_time = {}, None
+        self._numbers, self._times = Growing(np.empty(0, np.int64)), Growing(np.empty(0))
+        self._poses = Growing(np.empty((0, 4, 4)))
         self._seen, self._expected, self._in_gap, self._doubts = 0, len(dataset), False, []
         if self._format() == "tum":
             _, poses = read_tum_lines(self._path)
@@ -94,26 +100,46 @@ class TrajectoryFile(Tracker):
 
     def track(self, frame: StereoFrame) -> TrackingResult:
         """The pose that belongs to the frame, or "lost"."""
-        T = self._by_number.get(frame.number) if self._by_time is None else self._nearest(frame.timestamp)
+        T = self._pose_of(frame.number, frame.timestamp)
         self._seen += 1
         told = tuple(Event("warning", frame.number, {"text": text}) for text in self._doubts)
         self._doubts = []
         if T is None:
-            if self._seen == self._expected and not self._frames:
+            if self._seen == self._expected and not len(self._poses):
                 raise BenchError(self._no_match("no pose is near any frame in time"))
             if not self._in_gap:
                 log.warning("frame %d: %s", frame.number, self._gap_at(frame.timestamp))
             self._in_gap = True
             return TrackingResult(None, "lost", events=told)
         self._in_gap = False
-        self._frames.append((frame.number, frame.timestamp, T))
+        self._keep(frame.number, frame.timestamp, T)
         return TrackingResult(T, "ok", events=told)
 
     def trajectory(self) -> Trajectory:
         """Poses of the frames tracked so far; those without a pose are absent."""
-        numbers, times, poses = zip(*self._frames, strict=True) if self._frames else ((), (), ())
-        T = np.array(poses, dtype=np.float64).reshape(-1, 4, 4)
-        return Trajectory(T, np.array(numbers, dtype=np.int64), np.array(times, dtype=np.float64))
+        return Trajectory(self._poses.rows, self._numbers.rows, self._times.rows)
+
+    def state(self) -> dict[str, Any]:
+        """Which frames had a pose so far, and what is still to be told; the poses are in the file."""
+        tracked = {"numbers": self._numbers.rows, "times": self._times.rows}
+        return {"seen": self._seen, "in_gap": self._in_gap, "doubts": list(self._doubts), **to_state(tracked)}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``."""
+        self._seen, self._in_gap, self._doubts = state["seen"], state["in_gap"], list(state["doubts"])
+        for number, time in zip(state["numbers"].tolist(), state["times"].tolist(), strict=True):
+            T = self._pose_of(number, time)
+            if T is None:
+                raise BenchError(f"{self._path} has changed since the run began: frame {number} has no pose any more.")
+            self._keep(number, time, T)
+
+    def _pose_of(self, number: int, timestamp: float) -> Float | None:
+        return self._by_number.get(number) if self._by_time is None else self._nearest(timestamp)
+
+    def _keep(self, number: int, timestamp: float, T: Float) -> None:
+        self._numbers.append(number)
+        self._times.append(timestamp)
+        self._poses.append(T)
 
     def _format(self) -> str:
         if self._config.format != "auto":

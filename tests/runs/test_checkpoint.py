@@ -31,6 +31,7 @@ def snapshot(frames: int, **changed: Any) -> Snapshot:
         keyframe_poses=list(rng.normal(size=(frames, 4, 4))),
         seeing={},
         obsolete={},
+        optimised=False,
     )
     return replace(made, **changed)
 

@@ -44,7 +44,7 @@ class Drifting(GroundTruth):
 
     def trajectory(self) -> Trajectory:
         known = super().trajectory()
-        if self._tracked[-1] >= self._corrected_at:
+        if known.numbers[-1] >= self._corrected_at:
             return known
         drift: Float = se3.exp(known.numbers[:, None] / LAP * DRIFT)
         return Trajectory(drift @ known.T_world_cam, known.numbers, known.timestamps)

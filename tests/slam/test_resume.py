@@ -156,6 +156,7 @@ def test_a_checkpoint_can_run_no_code(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_tracker_that_never_says_the_same_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "run"
+    monkeypatch.setattr(GroundTruth, "state", lambda self: None)
     killed_run(folder, monkeypatch, 3, "tracker=groundtruth")
     track = GroundTruth.track
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from bench.geometry import se3
+from bench.io.torch_files import from_state, to_state
 from bench.tracking.features import Ints
+from bench.tracking.growing import Archive
 from bench.tracking.local_map import KeyframeRecord, View
 from bench.tracking.loops.hypotheses import Match, Run, rival_of
 from bench.tracking.loops.odometry_chain import OdometryChain
+from bench.tracking.loops.place_list import PlaceList
 from bench.tracking.loops.places import Place, PlaceIndex, WordVector, best_places, similarity, word_vector
 from bench.tracking.loops.pose_graph import Edge, Graph, import_gtsam, optimise
 from bench.tracking.loops.settings import LoopSettings
@@ -38,6 +42,10 @@ _REFINE_MATCHES, _REFINE_M, _REFINE_DEG = 3, 0.25, 0.5
 anyway."""
 
 
+_VOCABULARY = "vocabulary"
+_EDGE = ("first", "second", "T_first_second", "covariance")
+
+
 @dataclass(frozen=True)
 class Closure:
     """What one correction did: ``poses`` (K, 4, 4) T_world_cam of all keyframes; the newest loop joins keyframes
@@ -60,7 +68,7 @@ class LoopCloser:
     After Galvez-Lopez and Tardos (T-RO 2012) for finding places and Mur-Artal and Tardos (ORB-SLAM2, 2017) for the
     whole; the number of inliers alone accepts false loops where facades repeat, so matches must also agree with each
     other and the odometry, and the pose graph may still refuse them. Deterministic. With ``closing`` False places are
-    only kept for ``relocalise``. A place takes about 50 kB (1000 keypoints), so 5 km of road take 100 MB or so.
+    only kept for ``relocalise``. A place takes about 50 kB (1000 keypoints); all but the newest lie in the archive.
     """
 
     def __init__(
@@ -71,9 +79,10 @@ class LoopCloser:
         scale_factor: float,
         vocabulary: Vocabulary | None,
         closing: bool,
+        archive: Archive,
     ) -> None:
         """``least_disparity`` in pixels: farther keypoints are no part of a place; ``scale_factor`` from octave to
-        octave. Raises ``BenchError`` when ``closing`` without gtsam."""
+        octave; ``archive`` takes what never changes. Raises ``BenchError`` when ``closing`` without gtsam."""
         if closing:
             import_gtsam()
         self._camera = camera
@@ -82,10 +91,11 @@ class LoopCloser:
         self._scale_factor = scale_factor
         self._closing = closing
         self._vocabulary = vocabulary
-        self._index = PlaceIndex(len(vocabulary)) if vocabulary is not None else None
+        self._archive = archive
+        self._index = PlaceIndex(len(vocabulary), archive) if vocabulary is not None else None
         self._last_vector: WordVector | None = None
         self._chain = OdometryChain()
-        self._places: list[Place] = []
+        self._places = PlaceList(archive)
         self._at_places: Float = np.empty((0, 4, 4))
         self._runs: list[Run] = []
         self._edges: list[Edge] = []
@@ -102,11 +112,50 @@ class LoopCloser:
         place = Place.of(keyframe.view, keyframe.index, self._least_disparity, self._scale_factor)
         self._places.append(place)
         similarities = self._enter_index()
-        self._at_places = poses[self._keyframes()]
+        self._at_places = poses[self._places.keyframes]
         if similarities is None or not self._closing:
             return None
         self._follow(similarities)
         return self._close(poses)
+
+    def state(self) -> dict[str, Any]:
+        """All that is needed to go on, for a checkpoint, with what is in the archive."""
+        if self._vocabulary is not None and _VOCABULARY not in self._archive:
+            self._archive.put(_VOCABULARY, self._vocabulary.arrays())
+        edges = {name: np.array([getattr(edge, name) for edge in self._edges]) for name in _EDGE}
+        return {
+            "chain": self._chain.state(self._archive),
+            "places": self._places.state(),
+            "index": None if self._index is None else self._index.state(),
+            "last_vector": None if self._last_vector is None else to_state(vars(self._last_vector)),
+            "runs": [run.state() for run in self._runs],
+            "edges": to_state(edges) if self._edges else None,
+            "relocalised_at": self._relocalised_at,
+            **to_state({"at_places": self._at_places}),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``."""
+        self._chain.restore(state["chain"], self._archive)
+        self._places.restore(state["places"])
+        if state["index"] is not None:
+            arrays = self._archive.get(_VOCABULARY)
+            self._vocabulary = Vocabulary.of_arrays({**arrays, "centroid": arrays["centroid"].view(np.uint64)})
+            self._index = PlaceIndex(len(self._vocabulary), self._archive)
+            self._index.restore(state["index"])
+        last, edges = state["last_vector"], state["edges"]
+        self._last_vector = None if last is None else WordVector(**from_state(last))
+        self._runs = [Run.of_state(run) for run in state["runs"]]
+        self._edges = (
+            []
+            if edges is None
+            else [
+                Edge(int(first), int(second), T, covariance)
+                for first, second, T, covariance in zip(*from_state(edges).values(), strict=True)
+            ]
+        )
+        self._relocalised_at = state["relocalised_at"]
+        self._at_places = state["at_places"].numpy()
 
     def relocalise(self, view: View) -> tuple[int, Float] | None:
         """The keyframe whose place the view (of a lost camera) shows, and the pose T_keyframe_cam (4, 4); else None."""
@@ -141,9 +190,6 @@ class LoopCloser:
         similar = best_places(scores, np.ones(len(scores), dtype=bool), least, _RELOCALISATION_CANDIDATES)
         return np.unique(np.append(similar, newest))
 
-    def _keyframes(self) -> Ints:
-        return np.array([place.keyframe for place in self._places])
-
     def _is_new_place(self, poses: Float) -> bool:
         if not self._places:
             return True
@@ -164,18 +210,18 @@ class LoopCloser:
         return np.append(scores / usual if usual > 0 else np.zeros_like(scores), 1.0)
 
     def _train(self) -> None:
-        images = [place.descriptors[::_TRAINING_SHARE] for place in self._places]
+        images = [self._places[number].descriptors[::_TRAINING_SHARE] for number in range(len(self._places))]
         if sum(len(image) for image in images) < _BRANCHING**2:
             return  # Hardly any texture so far: wait for better places.
         self._vocabulary = train(images, _BRANCHING, _DEPTH)
-        self._index = PlaceIndex(len(self._vocabulary))
-        for place in self._places:
-            self._last_vector = word_vector(self._vocabulary, place.descriptors)
+        self._index = PlaceIndex(len(self._vocabulary), self._archive)
+        for number in range(len(self._places)):
+            self._last_vector = word_vector(self._vocabulary, self._places[number].descriptors)
             self._index.add(self._last_vector)
 
     def _allowed(self) -> Mask:
         """Places (n,) far enough back, and as near as drift of the odometry can explain."""
-        keyframes = self._keyframes()
+        keyframes = self._places.keyframes
         way, bridged = self._chain.way(keyframes, keyframes[-1])
         distance = np.linalg.norm(self._at_places[:, :3, 3] - self._at_places[-1, :3, 3], axis=1)
         near = distance <= _VIEWING_RANGE_M + self._set.max_drift * way + bridged
@@ -212,14 +258,14 @@ class LoopCloser:
         return found
 
     def _drift_explains(self, match: Match) -> bool:
-        keyframes = self._keyframes()
+        keyframes = self._places.keyframes
         way, bridged = self._chain.way(keyframes[[match.old]], keyframes[match.new])
         measured = self._at_places[match.old] @ match.verified.T_old_new
         move = np.linalg.norm(measured[:3, 3] - self._at_places[match.new, :3, 3])
         return bool(move <= _SLACK_M + self._set.max_drift * way[0] + bridged[0])
 
     def _enter_match(self, match: Match) -> None:
-        keyframes = self._keyframes()
+        keyframes = self._places.keyframes
         for run in self._runs:
             way, _ = self._chain.way(keyframes[[run.last.new]], keyframes[match.new])
             if run.last.new < match.new and run.continues_with(match, self._at_places, float(way[0])):
@@ -243,7 +289,7 @@ class LoopCloser:
         self._edges += edges
         self._chain.freeze()
         moves = np.linalg.norm(corrected[:, :3, 3] - poses[:, :3, 3], axis=1)
-        self._at_places = corrected[self._keyframes()]
+        self._at_places = corrected[self._places.keyframes]
         return Closure(
             corrected,
             edges[-1].first,

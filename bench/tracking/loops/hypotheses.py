@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from bench.geometry import se3
+from bench.io.torch_files import from_state, to_state
 from bench.tracking.loops.verification import Verified, close
 from bench.types import Float
 
@@ -67,6 +69,19 @@ class Run:
         """Go on with a match."""
         self.matches.append(match)
         self.waiting += 1
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        matches = [{"old": m.old, "new": m.new, "verified": to_state(vars(m.verified))} for m in self.matches]
+        return {"matches": matches, "closed": self.closed, "waiting": self.waiting, "wanted": self.wanted}
+
+    @classmethod
+    def of_state(cls, state: dict[str, Any]) -> Run:
+        """The run that gave ``state``."""
+        matches = [
+            Match(match["old"], match["new"], Verified(**from_state(match["verified"]))) for match in state["matches"]
+        ]
+        return cls(matches, state["closed"], state["waiting"], state["wanted"])
 
 
 def rival_of(run: Run, runs: list[Run], T_world_places: Float) -> bool:

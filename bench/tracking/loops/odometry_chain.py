@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from bench.geometry import se3
 from bench.tracking.features import Ints
+from bench.tracking.growing import Archive, Growing
 from bench.tracking.loops.pose_graph import Edge
 from bench.types import Float, Mask
 
@@ -24,19 +27,42 @@ class OdometryChain:
     """Steps between keyframes; they follow local bundle adjustment until a loop closes, and never the loop itself."""
 
     def __init__(self) -> None:
-        self._T_step: Float = np.empty((0, 4, 4))
-        self._broken: Mask = np.empty(0, dtype=bool)
+        self._steps = Growing(np.empty((0, 4, 4)))
+        self._breaks = Growing(np.empty(0, dtype=bool))
         self._frozen = 0
+
+    @property
+    def _T_step(self) -> Float:
+        return self._steps.rows
+
+    @property
+    def _broken(self) -> Mask:
+        return self._breaks.rows
 
     def extend(self, poses: Float, broken: bool) -> None:
         """Take in a new keyframe. ``poses`` (K, 4, 4) T_world_cam of all keyframes as of now; ``broken`` says that no
         observations tie the newest one to the one before."""
         count = len(poses)
         if count > 1:
-            self._T_step = np.concatenate([self._T_step, np.eye(4)[None]])
-            self._broken = np.append(self._broken, broken)
-        first = max(self._frozen, count - 1 - _SETTLING, 0)
+            self._steps.append(np.eye(4))
+            self._breaks.append(broken)
+        first = self._settled()
         self._T_step[first:] = se3.inverse(poses[first:-1]) @ poses[first + 1 :]
+
+    def _settled(self) -> int:
+        """Steps that no keyframe to come changes any more."""
+        return max(self._frozen, len(self._steps) - _SETTLING, 0)
+
+    def state(self, archive: Archive) -> dict[str, Any]:
+        """For a checkpoint."""
+        columns = {"T_step": self._T_step, "broken": self._broken}
+        return {"frozen": self._frozen, "steps": archive.rows("steps", columns, self._settled())}
+
+    def restore(self, state: dict[str, Any], archive: Archive) -> None:
+        """Go on from ``state``."""
+        columns = archive.rows_of("steps", state["steps"])
+        self._steps, self._breaks = Growing(columns["T_step"]), Growing(columns["broken"])
+        self._frozen = state["frozen"]
 
     def freeze(self) -> None:
         """Keep the steps so far as they are: the poses are about to be corrected."""

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from bench.io.torch_files import from_state, to_state
 from bench.tracking.features import Descriptors, Features, Ints
+from bench.tracking.growing import Archive
 from bench.tracking.local_map import View
 from bench.tracking.loops.vocabulary import Vocabulary
 from bench.tracking.matching import expand_ranges
 from bench.tracking.pose_optimization import Observations
 from bench.types import Float, Mask, StereoCamera
 
-_BLOCK = 128
-"""Places whose words are gathered before they are sorted into postings."""
+BLOCK = 128
+"""Places that are kept together: their words are gathered before they are sorted into postings."""
 
 
 @dataclass(frozen=True)
@@ -107,11 +110,12 @@ class _Postings:
 
 
 class PlaceIndex:
-    """Inverted index over the word vectors of all places: 8 bytes for each word of each place."""
+    """Inverted index over the word vectors of all places: 8 bytes for each word of each place, most in the archive."""
 
-    def __init__(self, words: int) -> None:
+    def __init__(self, words: int, archive: Archive) -> None:
         """``words`` is the size of the vocabulary."""
         self._size = words
+        self._archive = archive
         self._blocks: list[_Postings] = []
         self._open: list[WordVector] = []
         self._count = 0
@@ -123,9 +127,22 @@ class PlaceIndex:
         """Make a place known; its number is the count of places before."""
         self._open.append(vector)
         self._count += 1
-        if len(self._open) == _BLOCK:
-            self._blocks.append(self._sorted(self._open, self._count - _BLOCK))
+        if len(self._open) == BLOCK:
+            first = self._count - BLOCK
+            postings = self._sorted(self._open, first)
+            self._blocks.append(_Postings(**self._archive.put(f"words-{first}", vars(postings))))
             self._open = []
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint: what is not in the archive."""
+        return {"archived": len(self._blocks) * BLOCK, "open": [to_state(vars(vector)) for vector in self._open]}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``."""
+        firsts = range(0, state["archived"], BLOCK)
+        self._blocks = [_Postings(**self._archive.get(f"words-{first}")) for first in firsts]
+        self._open = [WordVector(**from_state(vector)) for vector in state["open"]]
+        self._count = state["archived"] + len(self._open)
 
     def scores(self, vector: WordVector) -> Float:
         """``similarity`` of the vector with every place (n,)."""

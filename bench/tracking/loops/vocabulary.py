@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -75,17 +76,21 @@ class Vocabulary:
             going = going[~self.is_leaf[node[going]]]
         return self._word[node]
 
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """The tree as arrays, for ``of_arrays``."""
+        shape = np.array([self.branching, self.depth])
+        return {"parent": self.parent, "centroid": self.centroid, "idf": self.idf, "shape": shape}
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Vocabulary:
+        """What ``arrays`` gave; raises ``ValueError`` for what is no tree."""
+        branching, depth = (int(number) for number in arrays["shape"])
+        return _checked_tree(arrays["parent"], arrays["centroid"], arrays["idf"], branching, depth)
+
     def save(self, path: Path) -> None:
         """Write the tree as a compressed npz file."""
         with open(path, "wb") as file:  # savez given a name would add .npz to it
-            np.savez_compressed(
-                file,
-                format=np.array(_FORMAT),
-                parent=self.parent,
-                centroid=self.centroid,
-                idf=self.idf,
-                shape=np.array([self.branching, self.depth]),
-            )
+            np.savez_compressed(file, allow_pickle=False, format=np.array(_FORMAT), **self.arrays())
 
 
 def load(path: Path) -> Vocabulary:
@@ -97,8 +102,7 @@ def load(path: Path) -> Vocabulary:
         with np.load(path, allow_pickle=False) as file:
             if str(file["format"]) != _FORMAT:
                 raise BenchError(f"The vocabulary {path} has the format '{file['format']}', not '{_FORMAT}'. {advice}")
-            branching, depth = (int(number) for number in file["shape"])
-            vocabulary = _checked_tree(file["parent"], file["centroid"], file["idf"], branching, depth)
+            vocabulary = Vocabulary.of_arrays(file)
     except BenchError:
         raise
     except Exception as error:  # damage leads zip and its decoders to any

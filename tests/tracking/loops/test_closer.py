@@ -9,6 +9,7 @@ import pytest
 import torch  # noqa: F401 - before gtsam, as in the bench
 
 from bench.geometry import se3
+from bench.tracking.growing import Archive
 from bench.tracking.loops.closer import Closure, LoopCloser
 from bench.tracking.loops.settings import LoopSettings
 from bench.tracking.loops.verification import close
@@ -17,7 +18,7 @@ pytest.importorskip("gtsam")
 
 
 def closer_for(road: Any, closing: bool = True, **settings: Any) -> LoopCloser:
-    return LoopCloser(road.camera, LoopSettings(**settings), road.camera.fx / 100, 1.2, None, closing)
+    return LoopCloser(road.camera, LoopSettings(**settings), road.camera.fx / 100, 1.2, None, closing, Archive())
 
 
 def follow(drive: Any, closer: LoopCloser, metres: int) -> list[Closure]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.tracking.growing import Archive
 from bench.tracking.loops.places import Place, PlaceIndex, WordVector, best_places, similarity, word_vector
 from bench.tracking.loops.vocabulary import Vocabulary
 
@@ -34,7 +35,7 @@ def test_tf_idf_and_similarity_of_a_toy_worked_by_hand() -> None:
 def test_an_image_without_keypoints_is_like_nothing() -> None:
     vocabulary, word = one_level([1.0, 2.0])
     nothing = word_vector(vocabulary, np.empty((0, 4), np.uint64))
-    index = PlaceIndex(2)
+    index = PlaceIndex(2, Archive())
     index.add(nothing)
     assert index.scores(word_vector(vocabulary, word)).tolist() == [0.0]
     assert index.scores(nothing).tolist() == [0.0]
@@ -45,7 +46,7 @@ def test_index_scores_are_the_l1_formula_across_blocks() -> None:
     dense = rng.random((300, 50)) * (rng.random((300, 50)) < 0.3)
     dense = (dense / dense.sum(axis=1, keepdims=True)).astype(np.float32)
     vectors = [WordVector(np.flatnonzero(row), row[row > 0]) for row in dense]
-    index = PlaceIndex(50)
+    index = PlaceIndex(50, Archive())
     for n, vector in enumerate(vectors[:299]):
         if n in (0, 1, 127, 128, 129, 298):
             literal = 1 - 0.5 * np.abs(dense[:n] - dense[299]).sum(axis=1)
