@@ -72,7 +72,7 @@ def mean_projected_area(scales: Float) -> Float:
 def _moments(values: Float, scales: Float, starts: npt.NDArray[np.intp], cell_m: float, pixel_m: float) -> Float:
     """One Gaussian (P, M) for each of M runs of the (P, K), which begin at ``starts``."""
     low_pass = THRESHOLDS.low_pass_px2 * pixel_m**2
-    opacity = 1.0 / (1.0 + np.exp(-values[OPACITY_LOGIT]))
+    opacity = 1.0 / (1.0 + np.exp(-values[OPACITY_LOGIT].clip(-100)))  # as a weight it must not be 0
     weight = opacity * mean_projected_area(np.sqrt(scales**2 + low_pass))
     total = np.add.reduceat(weight, starts)
     run = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(weight)))

@@ -10,7 +10,7 @@ from torch import Tensor
 from bench.errors import BenchError
 from bench.gaussians.levels import mean_projected_area, merged
 from bench.gaussians.parameters import NamedParameters, planes_from
-from bench.gaussians.schema import COLOR, HARMONICS, planes_of
+from bench.gaussians.schema import COLOR, HARMONICS, OPACITY_LOGIT, planes_of
 from bench.types import PinholeView
 from plugins.rasterizers.cpu import CpuRasterizer, PluginConfig
 
@@ -78,6 +78,14 @@ def test_opacity_ends_below_one() -> None:
     assert float(NamedParameters(merged(planes, 1.0, 0.0)).opacities) == pytest.approx(0.99)
 
 
+def test_what_is_all_transparent_stays_a_number() -> None:
+    planes = spheres([[0.5, 0.5, 0.5]] * 2, [0.1] * 2, [0.2] * 2, [0.4] * 2)
+    planes[OPACITY_LOGIT] = -1e4
+    after = merged(planes, 1.0, 0.0)
+    assert after.shape[1] == 1
+    assert bool(torch.isfinite(after).all())
+
+
 def test_what_stays() -> None:
     """Alone in a cell, on the other side of zero, or too large."""
     planes = spheres([[0.5] * 3, [1.5] * 3, [-0.5] * 3, [0.6] * 3], [0.1, 0.1, 0.1, 0.6], [0.5] * 4, [0.2] * 4)
@@ -105,7 +113,7 @@ def test_every_degree(degree: int) -> None:
 
 def test_the_covered_area_stays() -> None:
     planes = cloud(3000)
-    planes[10] -= 4  # so that no opacity reaches its end
+    planes[OPACITY_LOGIT] -= 4  # so that no opacity reaches its end
 
     def covered(of: Tensor) -> float:
         named = NamedParameters(of.double())
