@@ -15,11 +15,14 @@ import pytest
 from bench.cache.entry import DamagedEntryError
 from bench.cache.identity import frame_identity
 from bench.cache.recording import Recording
+from bench.cache.store import CacheStore
+from bench.cache.tracking import CachedTracker
 from bench.config import compose_run
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.slam.run import run_system
 from bench.types import Event, StereoFrame, TrackingResult, Trajectory
-from plugins.datasets.street import Street
+from plugins.datasets.street import Street, StreetConfig
+from plugins.trackers.groundtruth import GroundTruth, GroundTruthConfig
 from plugins.trackers.stereo_orb import StereoOrb
 
 SETTINGS = ("dataset.frames=6", "dataset.width=320", "dataset.height=96", "protocol.lpips=false")
@@ -142,6 +145,35 @@ def test_what_finish_corrects_is_repeated(tmp_path: Path, monkeypatch: pytest.Mo
     assert (first / "trajectory.csv").read_bytes() == (second / "trajectory.csv").read_bytes()
     moved = pd.read_csv(second / "trajectory.csv").iloc[:, 2:]
     assert abs(moved.to_numpy()[2] - moved.to_numpy()[1]).max() > 0.9
+
+
+@pytest.mark.parametrize("before", ["recorded", "not recorded"])
+@pytest.mark.parametrize("after", ["recorded", "not recorded"])
+def test_a_cached_tracker_goes_on_from_its_state(tmp_path: Path, before: str, after: str) -> None:
+    """Whether the frames were recorded when the run was broken, and when it goes on."""
+    street = Street(StreetConfig(frames=6, width=64, height=32))
+
+    def started(folder: str) -> CachedTracker:
+        config = GroundTruthConfig(name="groundtruth", noise_m=0.1)
+        tracker = CachedTracker(GroundTruth(config), config, {}, CacheStore(tmp_path / folder, 1e9))
+        tracker.start(street)
+        return tracker
+
+    def track(tracker: CachedTracker, positions: range) -> None:
+        for position in positions:
+            tracker.track(street.frame(position))
+
+    whole = started("recorded")
+    track(whole, range(6))
+    whole.finish()
+    broken = started(before)
+    track(broken, range(3))
+    again = started(after)
+    again.restore(broken.state())  # type: ignore[arg-type]
+    np.testing.assert_array_equal(again.trajectory().T_world_cam, broken.trajectory().T_world_cam)
+    track(again, range(3, 6))
+    again.finish()
+    np.testing.assert_array_equal(again.trajectory().T_world_cam, whole.trajectory().T_world_cam)
 
 
 def test_by_default_nothing_quick_is_kept(tmp_path: Path) -> None:

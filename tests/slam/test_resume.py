@@ -21,6 +21,7 @@ from bench.runs.folder import RunFolder
 from bench.slam.run import run_system
 from plugins.mappers.gaussian import GaussianMapper
 from plugins.trackers.groundtruth import GroundTruth
+from plugins.trackers.stereo_orb import StereoOrb
 
 STREET = ("dataset.frames=6", "dataset.width=320", "dataset.height=96", "mapper.iterations=3", "protocol.lpips=false")
 STREET += (
@@ -70,18 +71,30 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # Six frames, one of them held out, then two iterations for each of five keyframes.
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("after", "pipeline", "frames_then"),
-    [(1, "parallel", 1), (4, "sequential", 4), (9, "parallel", 6)],
+    ("after", "pipeline", "frames_then", "repeats"),
+    [(1, "parallel", 1, False), (4, "sequential", 4, False), (9, "parallel", 6, False), (3, "parallel", 3, True)],
 )
 def test_a_resumed_run_has_the_bits_of_an_unbroken_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unbroken: Path, after: int, pipeline: str, frames_then: int
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    unbroken: Path,
+    after: int,
+    pipeline: str,
+    frames_then: int,
+    repeats: bool,
 ) -> None:
+    """No frame is tracked twice, unless the tracker gives no state; then those before the break are."""
     folder = tmp_path / "run"
+    if repeats:
+        monkeypatch.setattr(StereoOrb, "state", lambda self: None)
     killed_run(folder, monkeypatch, after, f"pipeline={pipeline}")
     learned = []
     add = GaussianMapper.add_keyframe
     monkeypatch.setattr(GaussianMapper, "add_keyframe", lambda *a: learned.append(a[1].frame.number) or add(*a))
+    tracked, track = [], StereoOrb.track
+    monkeypatch.setattr(StereoOrb, "track", lambda *a: tracked.append(a[1].number) or track(*a))
     assert run(folder, f"pipeline={pipeline}").path == folder
+    assert tracked == list(range(0 if repeats else frames_then, 6))
     assert learned == [
         number for number in range(frames_then, 6) if number != 2
     ]  # frame 2 is held out; none is learned twice

@@ -161,6 +161,18 @@ def test_a_later_fault_is_seen_too() -> None:
     assert [at for at, text in enumerate(told) if text] == [8]
 
 
+@pytest.mark.parametrize("broken_after", range(5))
+def test_looking_goes_on_after_a_break(broken_after: int) -> None:
+    frames = _Frames(8)
+    check, told = PairCheck(frames), []  # type: ignore[arg-type]
+    for at in range(6):
+        told.append(check.look(at, frames.frame(at, shift=0)))
+        if at == broken_after:
+            state, check = check.state(), PairCheck(frames)  # type: ignore[arg-type]
+            check.restore(state)
+    assert [at for at, text in enumerate(told) if text] == [2]
+
+
 @pytest.mark.parametrize(
     ("baseline", "odd"), [(537.15, True), (12.0, True), (5e-4, True), (0.11, False), (0.004, False)]
 )

@@ -38,8 +38,8 @@ _SLACK_M = 1.0
 _KNOWN_ROAD_PLACES = 2
 """On a road that a closed loop has tied down, one place in so many is matched."""
 _REFINE_MATCHES, _REFINE_M, _REFINE_DEG = 3, 0.25, 0.5
-"""After so many more matches the pose graph is solved again if poses are off by this; after three times as many,
-anyway."""
+"""After so many more matches the pose graph is solved again if poses are off by this; after three times as many, or a
+tenth of the loops that it has, anyway: its time grows with them, and so a long second round costs no more a loop."""
 
 
 _VOCABULARY = "vocabulary"
@@ -309,7 +309,7 @@ class LoopCloser:
             return len(run.matches) >= enough and not rival_of(run, self._runs, self._at_places)
         measured = self._at_places[run.last.old] @ run.last.verified.T_old_new
         off = not close(se3.inverse(measured) @ self._at_places[run.last.new], _REFINE_M, _REFINE_DEG)
-        return run.waiting >= (_REFINE_MATCHES if off else 3 * _REFINE_MATCHES)
+        return run.waiting >= (_REFINE_MATCHES if off else max(3 * _REFINE_MATCHES, len(self._edges) // 10))
 
     def _edge(self, match: Match) -> Edge:
         old, new = self._places[match.old].keyframe, self._places[match.new].keyframe

@@ -11,6 +11,7 @@ import torch  # noqa: F401 - before gtsam, as in the bench
 
 from bench.errors import BenchError
 from bench.geometry import se3
+from bench.tracking.loops import pose_graph
 from bench.tracking.loops.pose_graph import Edge, Graph, adjoint, condensed, integrated, optimise
 
 gtsam = pytest.importorskip("gtsam")
@@ -95,6 +96,34 @@ def test_with_true_loops_only_it_is_the_plain_least_squares_optimum() -> None:
     poses, believed = optimise(Graph(steps, np.tile([0.01, 0.0005], (299, 1)), edges), start)
     assert believed.all()
     assert np.abs(poses - plain_least_squares(steps, edges, start)).max() < 1e-4
+
+
+@pytest.mark.parametrize(("good", "bad"), [(6, 0), (6, 6), (0, 4)])
+def test_loops_are_weighted_as_by_gtsams_own_optimizer(good: int, bad: int) -> None:
+    truth, steps = circle(120, 9)
+    edges, start, odometry = loops(truth, good, bad, 10), gtsam.Values(), gtsam.NonlinearFactorGraph()
+    odometry.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(np.eye(4)), gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)))
+    for k, T in enumerate(integrated(steps)):
+        start.insert(k, gtsam.Pose3(T))
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.0005] * 3 + [0.01] * 3))
+    for k, T in enumerate(steps):
+        odometry.add(gtsam.BetweenFactorPose3(k, k + 1, gtsam.Pose3(T), noise))
+    weights, poses = pose_graph._graduated(gtsam, odometry, start, edges)
+
+    whole = gtsam.NonlinearFactorGraph(odometry)
+    for edge in edges:
+        noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.003] * 3 + [0.08] * 3))
+        whole.add(gtsam.BetweenFactorPose3(edge.first, edge.second, gtsam.Pose3(edge.T_first_second), noise))
+    parameters = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
+    parameters.setKnownInliers(list(range(len(truth))))
+    # Weights of loops that are far off begin below gtsam's tolerance of 1e-4: it would call them 0 and stop at once.
+    parameters.setWeightsTol(1e-12)
+    theirs = gtsam.GncLMOptimizer(whole, start, parameters)
+    theirs.setInlierCostThresholdsAtProbability(0.99)
+    wanted = theirs.optimize()
+    np.testing.assert_allclose(weights, np.asarray(theirs.getWeights())[len(truth) :], atol=1e-9)
+    for k in range(len(truth)):
+        np.testing.assert_allclose(poses.atPose3(k).matrix(), wanted.atPose3(k).matrix(), atol=1e-9)
 
 
 @pytest.mark.slow
