@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +12,16 @@ from torch.nn import functional
 
 from bench.errors import BenchError
 from bench.evaluation.alexnet_weights import CONVOLUTIONS, WeightsFound, find_alexnet_weights, load_alexnet_weights
+from bench.evaluation.winograd import WinogradConvolution
 from bench.types import Image
 
 __all__ = ["Lpips", "WeightsFound", "find_alexnet_weights"]
 
 MINIMUM_SIDE = 31
 """Smaller images have no pixel left after AlexNet's two poolings."""
-# Of AlexNet's convolutions: stride, padding, and whether a maximum over 3x3 pixels, every second one, comes before.
-_STEPS = ((4, 2, False), (1, 2, True), (1, 1, True), (1, 1, False), (1, 1, False))
+# Stride and padding of AlexNet's convolutions; before two of them comes a maximum over 3x3 pixels, every second one.
+_STEPS = ((4, 2), (1, 2), (1, 1), (1, 1), (1, 1))
+_POOLED = (1, 2)
 # ImageNet's mean and deviation of RGB as LPIPS has them, for values in [-1, 1].
 _MEAN, _DEVIATION = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
@@ -36,11 +38,12 @@ class Lpips:
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         # Channels last: a fifth less time on a CPU, the same numbers to float32 rounding.
         self._convolutions = [
-            (
+            _convolution(
                 features[f"{position}.weight"].to(self._device, memory_format=torch.channels_last),
                 features[f"{position}.bias"].to(self._device),
+                *steps,
             )
-            for position in CONVOLUTIONS
+            for position, steps in zip(CONVOLUTIONS, _STEPS, strict=True)
         ]
         self._linear = [layer.to(self._device) for layer in _linear_layers()]
         self._mean, self._deviation = (
@@ -60,11 +63,9 @@ class Lpips:
         with torch.inference_mode():
             values = self._scaled([*images, *references])
             total = torch.zeros(len(images), device=self._device)
-            for (weight, bias), linear, (stride, padding, pooled) in zip(
-                self._convolutions, self._linear, _STEPS, strict=True
-            ):
-                values = functional.max_pool2d(values, 3, 2) if pooled else values
-                values = functional.conv2d(values, weight, bias, stride, padding).relu_()
+            for index, (convolution, linear) in enumerate(zip(self._convolutions, self._linear, strict=True)):
+                values = functional.max_pool2d(values, 3, 2) if index in _POOLED else values
+                values = convolution(values).relu_()
                 total += _distance(values, linear)
             return [float(value) for value in total.cpu()]
 
@@ -74,6 +75,15 @@ class Lpips:
         # NHWC seen as NCHW is already channels last.
         values = stacked.permute(0, 3, 1, 2).to(torch.float32).div_(127.5).sub_(1.0)
         return values.sub_(self._mean).div_(self._deviation)
+
+
+def _convolution(
+    weight: torch.Tensor, bias: torch.Tensor, stride: int, padding: int
+) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Those of 3x3 by Winograd's scheme on a CPU: at KITTI's size LPIPS takes a fifth less time."""
+    if weight.shape[-1] == 3 and weight.device.type == "cpu":
+        return WinogradConvolution(weight, bias)
+    return lambda values: functional.conv2d(values, weight, bias, stride, padding)
 
 
 def _distance(features: torch.Tensor, linear: torch.Tensor) -> torch.Tensor:

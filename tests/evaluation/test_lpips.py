@@ -17,6 +17,7 @@ from bench.errors import BenchError
 from bench.evaluation import alexnet_weights
 from bench.evaluation.alexnet_weights import CONVOLUTIONS, WeightsFound, find_alexnet_weights, load_alexnet_weights
 from bench.evaluation.lpips_metric import Lpips
+from bench.evaluation.winograd import WinogradConvolution
 from bench.weights import places
 
 
@@ -56,6 +57,16 @@ def test_gives_the_published_values(weights_root: Path, test_data: Path) -> None
     assert metric([near], [near]) == [0.0]
     with pytest.raises(BenchError, match="at least 31x31 pixels; these are 40x30"):
         metric([near[:30, :40]], [far[:30, :40]])
+
+
+@pytest.mark.parametrize("size", [(7, 9), (8, 4), (1, 1)])
+def test_winograds_scheme_is_a_convolution(size: tuple[int, int]) -> None:
+    """Against the plain one in float64, at sizes that fill the tiles of 4x4 and that do not."""
+    generator = torch.Generator().manual_seed(0)
+    values, weight, bias = (torch.randn(*shape, generator=generator) for shape in ((2, 16, *size), (8, 16, 3, 3), (8,)))
+    expected = torch.nn.functional.conv2d(values.double(), weight.double(), bias.double(), padding=1)
+    found = WinogradConvolution(weight, bias)(values.contiguous(memory_format=torch.channels_last))
+    assert torch.allclose(found.double(), expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
 
 
 def test_the_order_of_sources(nowhere: Path, monkeypatch: pytest.MonkeyPatch) -> None:

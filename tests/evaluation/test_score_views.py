@@ -66,6 +66,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return numbers
 
 
+@pytest.mark.slow
 def test_numbers_do_not_depend_on_the_number_of_workers(
     tmp_path: Path, tiny_config: dict[str, Any], weights_root: Path
 ) -> None:
