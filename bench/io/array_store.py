@@ -7,6 +7,7 @@ at its end the CRC-32 of all before.
 from __future__ import annotations
 
 import json
+import logging
 import math
 import mmap
 import os
@@ -23,6 +24,8 @@ import numpy.typing as npt
 from bench.errors import BenchError, first_line
 from bench.io.atomic import TEMPORARY_PATTERN, atomic_path
 from bench.io.foreign import open_plain
+
+log = logging.getLogger(__name__)
 
 _SUFFIX = ".arrays"
 _FORMAT = b"bgs-arrays 1\n"
@@ -194,5 +197,7 @@ def _flush_folder(folder: Path) -> None:
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
+    except OSError as error:  # some network file systems can't flush a folder; its files are flushed
+        log.debug("%s can't be flushed (%s)", folder, error.strerror)
     finally:
         os.close(descriptor)
