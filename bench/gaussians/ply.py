@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,22 +31,41 @@ from bench.io.foreign import open_plain, reading
 _MOST_HEADER = 65536
 """Bytes; a map with harmonics of degree 3 has 1,500."""
 
+_ROWS = 1 << 16
+"""Gaussians that are written at a time."""
+
 if TYPE_CHECKING:
     from torch import Tensor
 
 
 def write_ply(path: Path, planes: Tensor) -> None:
     """Write (P, N) parameters: positions, zero normals, harmonics, opacity logit, log scales, unit quaternions."""
-    data = planes.detach().cpu()
-    names = column_names(degree_of(len(data)))
-    rows = dict(zip(names, data.numpy(), strict=True))
-    unit = torch.nn.functional.normalize(data[QUATERNION], dim=0)
-    rows |= zip(names[QUATERNION], unit.numpy(), strict=True)
-    rows |= dict.fromkeys(("nx", "ny", "nz"), np.zeros(data.shape[1], np.float32))
-    table = np.empty(data.shape[1], dtype=[(name, "<f4") for name in _file_order(names)])
-    for name in table.dtype.names or ():
-        table[name] = rows[name]
-    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(str(path))
+    write_ply_in_parts(path, [planes], planes.shape[1], degree_of(len(planes)))
+
+
+def write_ply_in_parts(path: Path, parts: Iterable[Tensor], count: int, degree: int) -> None:
+    """The file that ``write_ply`` writes for all parts (P, N_k) side by side, without a second copy of any of them.
+
+    ``count`` is the sum of all N_k, and ``degree`` that of the harmonics of each; ``BenchError`` where they are not,
+    and the file is of no use.
+    """
+    names = column_names(degree)
+    table = np.zeros(_ROWS, dtype=[(name, "<f4") for name in _file_order(names)])
+    # Of no rows, for the number is not known to plyfile.
+    header = PlyData([PlyElement.describe(table[:0], "vertex")], byte_order="<").header
+    written = 0
+    with open(path, "wb") as file:
+        file.write(header.replace("element vertex 0\n", f"element vertex {count}\n").encode() + b"\n")
+        for part in parts:
+            if len(part) != len(names):
+                raise BenchError(f"Can't write {path}: a part of the map has {len(part)} planes, not {len(names)}.")
+            for data in part.detach().split(_ROWS, dim=1):
+                rows = table[: data.shape[1]]
+                _fill(rows, names, data.cpu())
+                rows.tofile(file)
+                written += len(rows)
+    if written != count:
+        raise BenchError(f"Can't write {path}: the map has {written} Gaussians, and {count} were announced.")
 
 
 def read_ply(path: Path) -> Tensor:
@@ -75,6 +95,13 @@ def read_ply(path: Path) -> Tensor:
             f"of Gaussian {bad[0]}. Copy or make the map again."
         )
     return torch.from_numpy(planes)
+
+
+def _fill(rows: np.ndarray, names: tuple[str, ...], data: Tensor) -> None:
+    """Put the parameters (P, M) into M rows of the table; its normals stay zero."""
+    unit = torch.nn.functional.normalize(data[QUATERNION], dim=0)
+    for name, plane in zip((*names, *names[QUATERNION]), (*data, *unit), strict=True):
+        rows[name] = plane.numpy()
 
 
 def _file_order(names: tuple[str, ...]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ import torch
 from plyfile import PlyData, PlyElement
 
 from bench.errors import BenchError
+from bench.gaussians import ply
 from bench.gaussians.parameters import NamedParameters, planes_from
-from bench.gaussians.ply import read_ply, write_ply
+from bench.gaussians.ply import read_ply, write_ply, write_ply_in_parts
+from bench.gaussians.schema import HARMONICS, QUATERNION, column_names, planes_of
 
 # The header of a point_cloud.ply that the original 3DGS code writes, for harmonics of degree 0.
 STANDARD = [
@@ -74,6 +77,39 @@ def test_harmonics_are_written_channel_by_channel(tmp_path: Path, degree: int) -
     back = read_ply(tmp_path / "map.ply")
     assert torch.equal(back[14:], planes[14:])
     assert torch.equal(back[:6], planes[:6])
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+@pytest.mark.parametrize("counts", [(), (0,), (64,), (3, 0, 100, 1), (65, 63)])
+def test_parts_give_the_file_of_plyfile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, degree: int, counts: tuple[int, ...]
+) -> None:
+    monkeypatch.setattr(ply, "_ROWS", 32)
+    random = torch.Generator().manual_seed(0)
+    wide = torch.randn(planes_of(degree), 200, generator=random)
+    ends = np.cumsum((0, *counts))
+    parts = [wide[:, begin:end] for begin, end in pairwise(ends)]
+    write_ply_in_parts(tmp_path / "parts.ply", iter(parts), int(ends[-1]), degree)
+    whole = wide[:, : ends[-1]].contiguous()
+    write_ply(tmp_path / "whole.ply", whole)
+    columns = dict(zip(column_names(degree), whole.numpy(), strict=True))
+    unit = torch.nn.functional.normalize(whole[QUATERNION], dim=0)
+    columns |= {f"rot_{k}": unit[k].numpy() for k in range(4)}
+    rest = [f"f_rest_{k}" for k in range(whole[HARMONICS].shape[0])]
+    table = np.zeros(whole.shape[1], [(name, "<f4") for name in (*STANDARD[:9], *rest, *STANDARD[9:])])
+    for name, values in columns.items():
+        table[name] = values
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(str(tmp_path / "plyfile.ply"))
+    files = [(tmp_path / f"{name}.ply").read_bytes() for name in ("parts", "whole", "plyfile")]
+    assert files[0] == files[2]
+    assert files[1] == files[2]
+
+
+def test_parts_that_are_not_what_was_announced(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match=r"has 5 Gaussians, and 6 were announced"):
+        write_ply_in_parts(tmp_path / "map.ply", [torch.zeros(14, 5)], 6, 0)
+    with pytest.raises(BenchError, match=r"a part of the map has 23 planes, not 14"):
+        write_ply_in_parts(tmp_path / "map.ply", [torch.zeros(23, 5)], 5, 0)
 
 
 def test_an_empty_map(tmp_path: Path) -> None:
