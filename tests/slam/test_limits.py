@@ -176,10 +176,10 @@ with watched.watching():
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 600 kB; ``remount`` makes it larger."""
+    """A file system of 660 kB; ``remount`` makes it larger."""
     place = tmp_path / "disk"
     place.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=600k", "none", str(place)], capture_output=True)
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=660k", "none", str(place)], capture_output=True)
     if mounted.returncode:
         pytest.skip("mounting a small file system is not allowed here")
     yield place

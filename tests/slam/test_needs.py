@@ -44,8 +44,8 @@ def test_it_follows_from_the_images_and_what_is_rendered(tmp_path: Path, monkeyp
     both = Needs.of(system, config)
     left = Needs.of(replace(system, protocol=replace(system.protocol, right_view=False)), config)
     none = Needs.of(replace(system, mapper=NoMapper(PluginConfig())), config)
-    # Ten pictures of 160x48 at 2.5 bytes a pixel a camera, beside a few kB of text.
-    assert both.renders - left.renders == left.renders - none.renders == 10 * 160 * 48 * 2.5
+    # Ten pictures of 160x48 at 2.7 bytes a pixel a camera, beside a few kB of text.
+    assert both.renders - left.renders == left.renders - none.renders == pytest.approx(10 * 160 * 48 * 2.7)
     assert both.cache == 10 * 160 * 48 * 4
     assert (none.map, none.checkpoint, none.cache) == (None, None, 0)
     assert "(renders 0.03 MB)" in none.line()
