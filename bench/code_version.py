@@ -6,7 +6,6 @@ import ast
 import hashlib
 import importlib.util
 import inspect
-from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
@@ -61,16 +60,18 @@ def project_version() -> str:
     return digest.hexdigest()
 
 
-def _imports(content: bytes, module: str, is_package: bool) -> Iterator[str]:
+@lru_cache(maxsize=None)
+def _imports(content: bytes, module: str, is_package: bool) -> tuple[str, ...]:
     """Dotted names that may be modules: of ``from a import b`` both ``a`` and ``a.b``."""
     package = module if is_package else module.rpartition(".")[0]
+    found: list[str] = []
     for node in ast.walk(ast.parse(content)):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and (package or not node.level):
             name = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
-            yield name
-            yield from (f"{name}.{alias.name}" for alias in node.names)
+            found += [name, *(f"{name}.{alias.name}" for alias in node.names)]
+    return tuple(found)
 
 
 def _file_of(module: str) -> Path | None:

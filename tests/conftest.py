@@ -18,6 +18,7 @@ from hydra.core.config_store import ConfigStore
 from bench import registry
 from bench.config import compose_run
 from bench.discovery import load_plugins
+from tests.street_made_once import remember_streets
 
 
 def _folder_from(variable: str) -> Path:
@@ -55,6 +56,15 @@ def _ctrl_c_reaches_children() -> None:
 @pytest.fixture(scope="session", autouse=True)
 def _plugins() -> None:
     load_plugins()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _streets_made_once(request: pytest.FixtureRequest) -> Iterator[None]:
+    """But for the tests of the street itself."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent.name not in ("datasets", "street", "performance"):
+            remember_streets(patch)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -7,8 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.short_runs import FEW_ITERATIONS
+
 TINY = (
-    *("dataset.frames=4", "dataset.width=160", "dataset.height=64", "mapper.iterations=5"),
+    *("dataset.frames=4", "dataset.width=160", "dataset.height=64", *FEW_ITERATIONS),
     *("tracker=groundtruth", "protocol.lpips=false"),
 )
 

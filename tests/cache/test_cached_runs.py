@@ -23,8 +23,9 @@ from bench.registry import build
 from bench.slam.run import run_system
 from plugins.datasets.street import Street, StreetConfig
 from plugins.stereo.sgbm import SgbmConfig
+from tests.short_runs import FEW_ITERATIONS
 
-TINY = ("dataset.frames=4", "dataset.width=96", "dataset.height=48", "mapper.iterations=2", "protocol.lpips=false")
+TINY = ("dataset.frames=4", "dataset.width=96", "dataset.height=48", *FEW_ITERATIONS, "protocol.lpips=false")
 DELAY_S = 0.15
 
 

@@ -10,16 +10,10 @@ from pathlib import Path
 
 import pytest
 
-TINY = (
-    *(
-        "dataset.frames=4",
-        "dataset.width=160",
-        "dataset.height=64",
-        "mapper.iterations=5",
-        "mapper.final_coarse_iterations=1",
-    ),
-    *("tracker=groundtruth", "protocol.lpips=false", "mapper.exposure=false"),
-)
+from tests.short_runs import FEW_ITERATIONS
+
+SMALL = ("dataset.frames=4", "dataset.width=160", "dataset.height=64", *FEW_ITERATIONS, "protocol.lpips=false")
+TINY = (*SMALL, "tracker=groundtruth", "mapper.exposure=false")
 
 TRACKER = '''
 """Trackers that stop in frame 2, each in its way."""

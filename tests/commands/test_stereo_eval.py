@@ -130,7 +130,7 @@ def test_wrong_input_is_known_before_anything_is_scored(
 
 
 def test_a_data_set_without_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from kitti_disk import write_kitti  # beside the tests of that data set
+    from tests.datasets.kitti_disk import write_kitti
 
     folder = write_kitti(tmp_path, frames=2)
     for scan in (folder / "velodyne").iterdir():

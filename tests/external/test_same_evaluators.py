@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from bench.cli import main
+from tests.short_runs import FEW_ITERATIONS
 
 STREET = ("dataset=street", "dataset.frames=4", "dataset.width=128", "dataset.height=96")
 
@@ -31,7 +32,7 @@ def lpips(request: pytest.FixtureRequest) -> tuple[str, ...]:
 def ours(tmp_path_factory: pytest.TempPathFactory, lpips: tuple[str, ...]) -> Path:
     """A run with a real tracker, mapping and renders of both cameras."""
     folder = tmp_path_factory.mktemp("ours") / "run"
-    assert main(["run", *STREET, *lpips, "mapper.iterations=3", "tracker=stereo_orb", f"output={folder}"]) == 0
+    assert main(["run", *STREET, *lpips, *FEW_ITERATIONS, "tracker=stereo_orb", f"output={folder}"]) == 0
     return folder
 
 

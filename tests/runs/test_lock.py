@@ -14,8 +14,10 @@ import pytest
 
 from bench.errors import BenchError
 from bench.runs.lock import LOCK_FILE, only_one
+from tests.short_runs import FEW_ITERATIONS
 
-TINY = ("dataset.frames=4", "dataset.width=160", "dataset.height=64", "mapper.iterations=2", "protocol.lpips=false")
+TINY = ("dataset.frames=4", "dataset.width=160", "dataset.height=64", *FEW_ITERATIONS, "protocol.lpips=false")
+TINY += ("tracker=groundtruth",)
 
 
 @pytest.mark.slow

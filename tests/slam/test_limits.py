@@ -22,8 +22,9 @@ from bench.runs.watchdog import LimitsConfig, MemoryLimitError, TimeLimitError, 
 from bench.slam.run import run_system
 from plugins.mappers.gaussian import GaussianMapper
 from plugins.stereo.sgbm import Sgbm
+from tests.short_runs import FEW_ITERATIONS
 
-TINY = ("dataset.frames=4", "dataset.width=320", "dataset.height=96", "mapper.iterations=2", "protocol.lpips=false")
+TINY = ("dataset.frames=4", "dataset.width=320", "dataset.height=96", *FEW_ITERATIONS, "protocol.lpips=false")
 
 
 def resident_gb() -> float:

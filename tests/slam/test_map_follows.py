@@ -69,6 +69,7 @@ def test_a_late_correction_leaves_the_map_as_good_as_one_without_drift(tmp_path:
         overrides += ["mapper.iterations=4", "mapper.final_coarse_iterations=0", "mapper.final_iterations=0"]
         overrides += ["mapper.coarse_share=0.6", "mapper.scale_rate=1e-2", "mapper.exposure=false"]
         overrides += ["mapper.seeding.stride=2", "mapper.seeding.opacity=0.5", "protocol.lpips=false"]
+        overrides += ["protocol.right_view=false"]
         overrides += [f"mapper.follow_corrections_m={follow}", f"mapper.follow_corrections_deg={follow}"]
         folder = run_system(compose_run([*overrides, f"output={tmp_path / name}"])).path
         psnr[name] = psnr_of_first_lap(folder)

@@ -22,10 +22,11 @@ from bench.runs.folder import RunFolder
 from bench.slam.run import run_system
 from bench.types import Event, Keyframe, MappingReport, StereoFrame
 from plugins.datasets.street import Street
+from tests.short_runs import FEW_ITERATIONS
 
 pytestmark = pytest.mark.slow
 
-TINY = ("dataset.frames=5", "dataset.width=160", "dataset.height=64", "mapper.iterations=2", "protocol.lpips=false")
+TINY = ("dataset.frames=5", "dataset.width=160", "dataset.height=64", *FEW_ITERATIONS, "protocol.lpips=false")
 
 
 def run(output: Path, *overrides: str) -> RunFolder:

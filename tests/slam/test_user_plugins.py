@@ -26,15 +26,32 @@ from bench.types import PinholeView
 from plugins.mappers.gaussian import GaussianMapper
 
 FOLDER = str(Path(__file__).parent / "user_plugins")
-STREET = ("dataset=street", "dataset.width=320", "dataset.height=96", "dataset.speed_m=0.05", "protocol.lpips=false")
+STREET = ("dataset=street", "protocol.lpips=false")
 # A map that is good as soon as it is there.
 DENSE = ("mapper.coarse_share=0.6", "mapper.scale_rate=1e-2", "mapper.rotation_rate=1e-3", "mapper.exposure=false")
 DENSE += ("mapper.second_moment_decay=0.999", "loss=[rgb,ssim,geo]", "loss.ssim.weight=0.2", "loss.geo.weight=0.1")
 DENSE += ("mapper.seeding.stride=2", "mapper.seeding.opacity=0.5", "mapper.seeding.margin=0")
 DENSE += ("mapper.seeding.ground=false", "mapper.seeding.max_depth_m=0")
-ALIGN = (*STREET, *DENSE, "tracker=map_align", "mapper.iterations=12", "mapper.final_coarse_iterations=0")
+ALIGN = (
+    *STREET,
+    "dataset.width=160",
+    "dataset.height=64",
+    "dataset.speed_m=0.05",
+    *DENSE,
+    "tracker=map_align",
+    "mapper.iterations=12",
+    "mapper.final_coarse_iterations=0",
+)
 ALIGN += ("mapper.final_iterations=0", "protocol.right_view=false")
-POINTS = (*STREET, "dataset.frames=4", "dataset.speed_m=0.5", "mapper=point_cloud", "tracker=groundtruth")
+POINTS = (
+    *STREET,
+    "dataset.width=320",
+    "dataset.height=96",
+    "dataset.frames=4",
+    "dataset.speed_m=0.5",
+    "mapper=point_cloud",
+    "tracker=groundtruth",
+)
 
 
 def run(output: Path, *overrides: str) -> Path:
@@ -69,13 +86,15 @@ def test_a_tracker_that_looks_at_the_map_is_resumed_to_the_bit(tmp_path: Path, m
 
 @pytest.mark.slow
 def test_a_tracker_that_looks_at_the_map_stays_within_a_centimetre(tmp_path: Path) -> None:
-    """14 frames of 10 cm each; the street knows its poses. A camera that never moves has 40 cm."""
+    """8 frames of 10 cm each; the street knows its poses. A camera that never moves has 23 cm."""
     slow = (
         *DENSE,
         "mapper.iterations=24",
         "mapper.final_coarse_iterations=0",
         "dataset=street",
-        "dataset.frames=14",
+        "dataset.frames=8",
+        "dataset.width=512",
+        "dataset.height=160",
         "dataset.speed_m=0.1",
         "protocol.lpips=false",
         "protocol.right_view=false",
@@ -83,7 +102,7 @@ def test_a_tracker_that_looks_at_the_map_stays_within_a_centimetre(tmp_path: Pat
     folder = run(tmp_path / "run", *slow, "tracker=map_align", "mapper.final_iterations=0", "evaluator=[ate]")
     found = evaluate_run(folder)["trajectory"]
     assert found["ate_rmse_m"] < 0.01
-    assert found["static_camera_ate_rmse_m"] > 0.35
+    assert found["static_camera_ate_rmse_m"] > 0.2
 
 
 @pytest.mark.slow

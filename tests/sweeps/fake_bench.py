@@ -10,21 +10,24 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from reproduce_with_fakes import fakes
+from reproduce_with_fakes import fakes, remember_composed
 
 from bench.cli import main
 
+ROWS = ("w/o ss (no sky segmentation)", "w/o wd (no geometric loss)", "Ours (full)")
+"""Those of the table that the sweeps are of, which is smaller than the bench's own."""
 FULL = "Ours (full), 03, seed "
+TABLE = Path(__file__).with_name("three_rows")
 
 
 class Bench:
-    """``bgs-bench reproduce ablation`` in a folder, with fakes in place of runs."""
+    """``bgs-bench reproduce three_rows`` in a folder, with fakes in place of runs."""
 
     def __init__(self, folder: Path, kitti: Path) -> None:
         self.folder = folder
         self.control = folder / "control"
         self.control.mkdir(parents=True)
-        self.arguments = ["reproduce", "ablation", f"dataset.root={kitti}"]
+        self.arguments = ["reproduce", "three_rows", f"plugins=[{TABLE}]", f"dataset.root={kitti}"]
         self.processes: list[subprocess.Popen[str]] = []
         self.behave()
 
@@ -45,6 +48,7 @@ class Bench:
 
     def start(self, *more: str) -> subprocess.Popen[str]:
         """In a process of its own, which does not wait."""
+        remember_composed(self.control)
         script = str(Path(__file__).with_name("reproduce_with_fakes.py"))
         process = subprocess.Popen(
             [sys.executable, script, str(self.control), *self.arguments, *more],

@@ -49,6 +49,12 @@ def main(job_file: Path) -> None:
         note_gpu("begins")
         time.sleep(0.3)
         note_gpu("ends")
+    if behaviour == "meet":
+        note_gpu("begins")
+        until = time.monotonic() + 30
+        while (control / "gpus.txt").read_text().count("begins") < 2 and time.monotonic() < until:
+            time.sleep(0.02)
+        note_gpu("ends")
     if behaviour == "segv":
         os.kill(os.getpid(), signal.SIGSEGV)
     if behaviour == "kill":

@@ -77,9 +77,9 @@ def test_the_same_table_and_a_gpu_for_each(
     """Two slots, two GPUs: runs at the same time have different ones."""
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
     bench = make_bench("bench")
-    bench.behave(others="slow", seed0="slow")
+    bench.behave(others="meet", seed0="slow")
     assert bench.reproduce("--seeds", "0", "--jobs", "2", f"launcher={launcher}") == 0
-    assert len(bench.started()) == 7
+    assert len(bench.started()) == 3
     assert bench.tables() == basic.tables()
     used = check_gpus((bench.control / "gpus.txt").read_text())
     assert used == {"3", "5"}
@@ -105,7 +105,7 @@ def check_gpus(noted: str) -> set[str]:
 def test_the_basic_launcher_deals_out_gpus(make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
     bench = make_bench("bench")
-    bench.behave(others="slow")
+    bench.behave(others="meet")
     assert bench.reproduce("--seeds", "0", "--jobs", "2", "launcher=basic") == 0
     assert check_gpus((bench.control / "gpus.txt").read_text()) == {"3", "5"}
 
@@ -118,19 +118,19 @@ def test_two_nodes_of_a_ray_cluster(
     for name, value in LOOPBACK.items():
         monkeypatch.setenv(name, value)
     bench = make_bench("bench")
-    bench.behave(others="slow", seed0="hang")
+    bench.behave(others="meet", seed0="hang")
     sweep = bench.start("--seeds", "0", "launcher=ray", f"hydra.launcher.ray.init.address={two_nodes}")
     run = bench.hanging(seed=0)
     worker = parent_of(run)
     os.kill(worker, signal.SIGKILL)
-    bench.behave(others="slow")
+    bench.behave()
     wait_until(lambda: not is_running(worker))
     os.kill(run, signal.SIGKILL)
     said, _ = sweep.communicate(timeout=120)
     assert sweep.returncode == 0, said
     started = bench.started()
     assert started.count(f"{FULL}0") == 2
-    assert len(started) == 8
+    assert len(started) == 4
     assert len(set(re.findall(r"started \(.*, Ray node (\w+)\)", said))) == 2, said
     assert bench.tables() == basic.tables()
 
@@ -147,10 +147,10 @@ def test_slurm_by_a_stand_in(
     bench = make_bench("bench")
     settings = ("hydra.launcher.partition=fast", "hydra.launcher.cpus_per_task=2")
     assert bench.reproduce("--seeds", "0", "launcher=slurm", *settings) == 0
-    assert len(bench.started()) == 7
+    assert len(bench.started()) == 3
     assert bench.tables() == basic.tables()
     submitted = (tmp_path / "slurm" / "submitted").read_text().splitlines()
-    wanted = {"--partition=fast", "--cpus-per-task=2", "--mem=16GB", "--time=720", "--array=0-6%7"}
+    wanted = {"--partition=fast", "--cpus-per-task=2", "--mem=16GB", "--time=720", "--array=0-2%3"}
     assert {f"#SBATCH {option}" for option in wanted} <= set(submitted)
     assert ("#SBATCH --gpus-per-node=1" in submitted) == asks
     assert (tmp_path / "slurm" / "asked").read_text() == "-h -o %G -p fast"
@@ -165,7 +165,7 @@ def parent_of(pid: int) -> int:
 def test_a_killed_worker_ends_no_other_run_and_the_same_command_resumes(
     make_bench: MakeBench, basic: Bench, launcher: str
 ) -> None:
-    """It hangs in the last row of the first seed, so that six runs are made before; joblib is to make seven after."""
+    """It hangs in the last row of the first seed, so that two runs are made before; joblib is to make three after."""
     bench = make_bench("bench")
     bench.behave(seed0="hang")
     command = ("--seeds", "0,1", "--jobs", "2", "launcher=joblib")
@@ -181,8 +181,8 @@ def test_a_killed_worker_ends_no_other_run_and_the_same_command_resumes(
     assert sweep.returncode == 1, said
     assert "Traceback" not in said
     assert f"interrupted: {FULL}0 (its worker died (" in said
-    assert len(bench.started()) == (14 if launcher == "joblib" else 7)
-    assert "ablation.md" in bench.tables()
+    assert len(bench.started()) == (6 if launcher == "joblib" else 3)
+    assert "three_rows.md" in bench.tables()
 
     bench.behave()
     assert bench.reproduce(*command) == 0
@@ -205,10 +205,10 @@ def test_a_killed_sweep_leaves_its_run_but_no_launcher(make_bench: MakeBench) ->
     wait_until(lambda: not is_running(launcher))
     assert is_running(run)
     os.kill(run, signal.SIGKILL)
-    assert len(bench.started()) == 7
+    assert len(bench.started()) == 3
     bench.behave()
     assert bench.reproduce(*command) == 0
-    assert len(bench.started()) == 8
+    assert len(bench.started()) == 4
 
 
 @pytest.mark.slow
@@ -216,7 +216,7 @@ def test_a_killed_sweep_leaves_its_run_but_no_launcher(make_bench: MakeBench) ->
 def test_ctrl_c_reaches_the_workers(make_bench: MakeBench, launcher: str) -> None:
     bench = make_bench("bench")
     bench.behave(seed0="polite")
-    more = ("--seeds", "0,1") if launcher == "joblib" else ("--seeds", "0", "--jobs", "3")
+    more = ("--seeds", "0,1" if launcher == "joblib" else "0")
     sweep = bench.start(*more, f"launcher={launcher}")
     run = bench.hanging(seed=0)
     sweep.send_signal(signal.SIGINT)
@@ -224,7 +224,7 @@ def test_ctrl_c_reaches_the_workers(make_bench: MakeBench, launcher: str) -> Non
     assert sweep.returncode == 130, said
     assert not is_running(run)
     assert f"interrupted: {FULL}0 (stopped by the user)" in said
-    assert len(bench.started()) == 7
+    assert len(bench.started()) == 3
 
 
 @pytest.mark.slow
@@ -241,7 +241,7 @@ def test_a_run_that_the_kernel_killed_for_want_of_memory(
     assert bench.reproduce("--seeds", "0") == 1
     words = "out of memory: the system ended it for want of memory"
     assert f"failed: {FULL}0 ({words})" in capfd.readouterr().out
-    assert "out of memory" in bench.tables()["ablation.md"].decode()
+    assert "out of memory" in bench.tables()["three_rows.md"].decode()
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The ablation by real, tiny runs: the two commands that make it agree, and a run made again has the same numbers."""
+"""A table by real, tiny runs: the two commands that make it agree, and a run made again has the same numbers."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ import shutil
 from pathlib import Path
 
 import pytest
+from fake_bench import TABLE
 
 from bench.cli import main
+from tests.short_runs import FEW_ITERATIONS
 
-TINY = (
-    *("mapper.iterations=1", "mapper.final_coarse_iterations=1", "tracker=groundtruth", "dataset.frames=0:2"),
-    *("protocol.lpips=false", "cache.enabled=false"),
-)
+TINY = (*FEW_ITERATIONS, "tracker=groundtruth", "dataset.frames=0:2", "protocol.lpips=false", "cache.enabled=false")
 
 
 def written(folder: Path) -> dict[str, bytes]:
     """The tables by file name, but for the copy of the runs, which holds times."""
-    files = (folder / "results" / "tables").glob("ablation.*")
+    files = (folder / "results" / "tables").glob("three_rows.*")
     return {file.name: file.read_bytes() for file in files if file.suffix != ".json"}
 
 
@@ -27,20 +26,20 @@ def test_reproduce_finds_what_the_experiment_made(
     tmp_path: Path, kitti: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    overrides = [f"dataset.root={kitti}", *TINY]
-    assert main(["run", "-m", "experiment=ablation", *overrides, "seed=0"]) == 0
+    overrides = [f"dataset.root={kitti}", f"plugins=[{TABLE}]", *TINY]
+    assert main(["run", "-m", "experiment=three_rows", *overrides, "seed=0"]) == 0
     runs = tmp_path / "results" / "runs"
-    assert len(list(runs.glob("*/metrics.json"))) == 7
+    assert len(list(runs.glob("*/metrics.json"))) == 3
     capfd.readouterr()
-    assert main(["reproduce", "ablation", *overrides, "--seeds", "0"]) == 0
-    assert "7 runs, 0 to make" in capfd.readouterr().out
+    assert main(["reproduce", "three_rows", *overrides, "--seeds", "0"]) == 0
+    assert "3 runs, 0 to make" in capfd.readouterr().out
     tables = written(tmp_path)
 
-    gone = sorted(runs.glob("*/metrics.json"))[3].parent
+    gone = sorted(runs.glob("*/metrics.json"))[1].parent
     before = json.loads((gone / "metrics.json").read_text())
     shutil.rmtree(gone)
-    assert main(["reproduce", "ablation", *overrides, "--seeds", "0", "--jobs", "2"]) == 0
-    assert "7 runs, 1 to make, 2 at once" in capfd.readouterr().out
+    assert main(["reproduce", "three_rows", *overrides, "--seeds", "0", "--jobs", "2"]) == 0
+    assert "3 runs, 1 to make, 2 at once" in capfd.readouterr().out
     after = json.loads((gone / "metrics.json").read_text())
     assert (after["views"], after["trajectory"]) == (before["views"], before["trajectory"])
     assert written(tmp_path) == tables
