@@ -26,12 +26,12 @@ def _once(method: Callable[[Street, int], Any]) -> Callable[[Street, int], Any]:
         if self.camera.width * self.camera.height > _LARGEST_PX:
             return method(self, position)
         key = (method.__name__, type(self), repr(self._config), position)
-        if key not in _made:
-            _made[key] = method(self, position)
+        found = _made.get(key)
+        if found is None:
+            found = _made[key] = method(self, position)
             if len(_made) > _KEPT:
                 _made.popitem(last=False)
-        _made.move_to_end(key)
-        return copy.deepcopy(_made[key])
+        return copy.deepcopy(found)
 
     return once
 
