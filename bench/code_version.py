@@ -6,7 +6,7 @@ import ast
 import hashlib
 import importlib.util
 import inspect
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import bench
@@ -60,7 +60,7 @@ def project_version() -> str:
     return digest.hexdigest()
 
 
-@lru_cache(maxsize=None)
+@cache
 def _imports(content: bytes, module: str, is_package: bool) -> tuple[str, ...]:
     """Dotted names that may be modules: of ``from a import b`` both ``a`` and ``a.b``."""
     package = module if is_package else module.rpartition(".")[0]
