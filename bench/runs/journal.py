@@ -32,7 +32,7 @@ class Journal:
         added = "".join(
             json.dumps(as_plain(item), default=lambda number: number.item()) + "\n" for item in new
         ).encode()
-        with open(self._path, "r+b" if self._bytes else "wb") as file:
+        with os.fdopen(os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+b") as file:
             file.truncate(self._bytes)  # a line that was cut when the disk was full
             file.seek(self._bytes)
             file.write(added)

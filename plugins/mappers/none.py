@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 from bench.contracts.loss import LossTerm
 from bench.contracts.mapper import Mapper
@@ -32,6 +33,13 @@ class NoMapper(Mapper):
 
     def finish(self) -> None:
         """Nothing is left to do."""
+
+    def state(self) -> dict[str, Any]:
+        """Nothing to keep: so that tracking alone has checkpoints."""
+        return {}
+
+    def restore(self, state: dict[str, Any], keyframes: Iterable[Keyframe]) -> None:
+        """Nothing to take over."""
 
     def render(self, view: PinholeView, depth: Map | None = None) -> RenderedView:
         """There is nothing to see; raises ``BenchError``."""

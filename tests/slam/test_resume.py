@@ -120,6 +120,28 @@ def test_a_run_can_be_broken_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.slow
+def test_tracking_can_be_broken_after_each_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tracked, track = [], StereoOrb.track
+    monkeypatch.setattr(StereoOrb, "track", lambda *a: tracked.append(a[1].number) or track(*a))
+    small = ["dataset.frames=4", "dataset.width=160", "dataset.height=64", "protocol.lpips=false", "mapper=none"]
+    whole, folder = tmp_path / "whole", tmp_path / "run"
+    run_system(compose_run([*small, f"output={whole}", "checkpoint_s=inf"]))
+    broken = compose_run([*small, f"output={folder}", "checkpoint_s=0"])
+    for count in range(4):
+        tracked.clear()
+        with killed_after(1, monkeypatch):
+            run_system(broken)
+        assert tracked[0] == count  # how far it was ahead of the break depends on threads
+    tracked.clear()
+    run_system(broken)
+    assert not tracked
+    for name in ("trajectory.csv", "events.jsonl"):
+        assert (folder / name).read_bytes() == (whole / name).read_bytes(), name
+    tables = [pd.read_csv(each / "frames.csv").filter(regex="^(?!.*_s$)") for each in (folder, whole)]
+    pd.testing.assert_frame_equal(*tables)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("override", ["resume=false", "rerun=true"])
 def test_who_wants_no_resuming_gets_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, override: str) -> None:
     folder = tmp_path / "run"

@@ -1,4 +1,7 @@
-"""A tracker that goes on from its state says what it would have said without the break, to the bit."""
+"""A tracker that goes on from its state says what it would have said without the break, to the bit.
+
+Loops are closed after a break in ``tests/tracking/loops/test_stereo_orb_loops.py``.
+"""
 
 from __future__ import annotations
 
@@ -92,20 +95,3 @@ def test_given_poses_go_on(wall: Any, tmp_path: Path, name: str) -> None:
         np.savetxt(tmp_path / "poses.txt", poses)
         settings = {"path": str(tmp_path / "poses.txt")}
     follow(name, wall, [wall.frame(k) for k in range(12)], (0, 5, 6, 10), tmp_path, **settings)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("small_groups")
-def test_loop_closing_goes_on_before_and_after_it_closed(tmp_path: Path) -> None:
-    pytest.importorskip("gtsam")
-    street = lookup("dataset", "street")
-    drive_at = {"frames": 90, "speed_m": 3.0, "circuit_m": 240, "width": 512, "height": 160}
-    dataset = street.cls(street.config(name="street", repeated_facades=True, **drive_at))
-    frames = [dataset.frame(position) for position in range(len(dataset))]
-    breaks = (30, 78, 79, 80, 81, 86)
-    results = follow("stereo_orb", dataset, frames, breaks, tmp_path, features=1200)
-    closed = [k for k, result in enumerate(results) if any(event.kind == "loop_closed" for event in result.events)]
-    assert closed
-    assert closed[0] - 1 in breaks
-    assert closed[0] in breaks
-    assert len(ArrayStore(tmp_path / "first").names()) > 20
