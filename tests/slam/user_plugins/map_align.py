@@ -77,7 +77,8 @@ class MapAlign(Tracker):
         return Trajectory(poses, np.array(self.numbers, np.int64), np.array(self.times, np.float64))
 
     def state(self) -> dict[str, Any]:
-        return {"poses": torch.from_numpy(np.array(self.poses)), "numbers": self.numbers, "times": self.times}
+        poses = torch.from_numpy(np.array(self.poses))
+        return {"poses": poses, "numbers": list(self.numbers), "times": list(self.times)}
 
     def restore(self, state: dict[str, Any]) -> None:
         self.poses, self.numbers, self.times = list(state["poses"].numpy()), state["numbers"], state["times"]
