@@ -58,7 +58,7 @@ class RootConfig:
     pipeline: str = "parallel"
     """parallel lets tracking and stereo run ahead of mapping, sequential does not; the result is the same."""
     threads: int = 0
-    """Threads of the C++ core; 0: all cores, or OMP_NUM_THREADS. The result is the same to the bit for any number."""
+    """Threads of the C++ core and of scoring; 0: all cores, or OMP_NUM_THREADS. Any number gives the same bits."""
     cache: CacheConfig = field(default_factory=CacheConfig)
     """The disk cache of depth maps and sky masks."""
     protocol: Any = None

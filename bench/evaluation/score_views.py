@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import sys
 from collections import deque
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -13,7 +12,8 @@ from contextlib import closing, contextmanager
 from itertools import islice
 from typing import Any
 
-from bench import _native
+import torch
+
 from bench.contracts.evaluator import ViewEvaluator
 from bench.errors import BenchError
 from bench.evaluation.saved_run import SavedRunFolder
@@ -34,10 +34,10 @@ def score_views(run: SavedRunFolder, evaluators: Mapping[str, ViewEvaluator]) ->
     """What the evaluators (by name; started here) give of each view of ``run``.
 
     Each frame is scored by one thread, and torch computes with one in it, so that the numbers are the same to the bit
-    for any number of workers (the run's ``threads``, by default all cores). A worker holds one frame: its pictures, its
-    references and the activations of LPIPS's network, 0.1 GB at 1226x370. What a scoring that was stopped has left is
-    taken where ``_identity`` and the files of the pictures are the same, and three of its frames still have the same
-    scores.
+    for any number of workers (the run's ``threads``; 0: all cores, or OMP_NUM_THREADS). A worker holds one frame: its
+    pictures, its references and the activations of LPIPS's network, 0.1 GB at 1226x370. What a scoring that was stopped
+    has left is taken where ``_identity`` and the files of the pictures are the same, and three of its frames still have
+    the same scores.
     """
     scores: Scores = {name: {} for name in evaluators}
     if not evaluators:
@@ -128,14 +128,11 @@ def _identity(run: SavedRunFolder, evaluators: Mapping[str, ViewEvaluator]) -> s
 @contextmanager
 def _workers(run: SavedRunFolder) -> Iterator[ThreadPoolExecutor]:
     """Threads in each of which torch computes with one thread: faster than two threads on one frame."""
-    asked = run.config.get("threads")
-    count = asked if isinstance(asked, int) and 0 < asked <= _MOST_WORKERS else _native.threads()
-    torch = sys.modules.get("torch")
-    before = torch.get_num_threads() if torch else 0
-    pool = ThreadPoolExecutor(count, "scoring", (lambda: torch.set_num_threads(1)) if torch else None)
+    asked, before = run.config.get("threads"), torch.get_num_threads()
+    count = asked if isinstance(asked, int) and 0 < asked <= _MOST_WORKERS else before
+    pool = ThreadPoolExecutor(count, "scoring", lambda: torch.set_num_threads(1))
     try:
         yield pool
     finally:
         pool.shutdown(cancel_futures=True)
-        if torch:
-            torch.set_num_threads(before)
+        torch.set_num_threads(before)
