@@ -56,9 +56,12 @@ class ScoresFile:
     def read(self) -> dict[int, Line]:
         """All lines by frame number: of this very file, should another process have put its own in that place."""
         self._file.seek(0)
-        contents = _contents(self._file)
-        next(contents)
-        return _by_number(contents)
+        with open(
+            self._file.fileno(), "rb", closefd=False
+        ) as buffered:  # lines of an unbuffered file are read by bytes
+            contents = _contents(buffered)
+            next(contents)
+            return _by_number(contents)
 
     def close(self) -> None:
         """Close the file; it stays."""
