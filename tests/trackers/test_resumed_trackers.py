@@ -90,7 +90,7 @@ def test_odometry_goes_on_also_while_it_is_lost(wall: Any, tmp_path: Path) -> No
 def test_given_poses_go_on(wall: Any, tmp_path: Path, name: str) -> None:
     settings: dict[str, Any] = {"noise_m": 0.1, "noise_deg": 0.5}
     if name == "trajectory_file":
-        poses = wall.ground_truth().T_world_cam[:, :3].reshape(12, 12)
+        poses = wall.ground_truth().T_world_cam[:, :3].reshape(12, 12).copy()
         poses[6] = np.nan
         np.savetxt(tmp_path / "poses.txt", poses)
         settings = {"path": str(tmp_path / "poses.txt")}
