@@ -15,6 +15,7 @@ from plyfile import PlyData
 from bench import registry
 from bench.authoring import probes
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
+from bench.io.array_store import ArrayStore
 from bench.runs.folder import OTHER_FILES
 from bench.types import DepthMap, Float, Keyframe, MappingReport, PinholeView, RenderedView, Trajectory
 
@@ -65,11 +66,18 @@ class Subject:
     def view(self, T_world_cam: Float) -> PinholeView:
         return PinholeView.of(self.dataset.camera, T_world_cam)
 
-    def started(self) -> Any:
-        """A fresh instance, started with the losses of the surroundings."""
+    @cached_property
+    def folder(self) -> tempfile.TemporaryDirectory[str]:
+        """Where mappers keep what is not in memory."""
+        return tempfile.TemporaryDirectory()
+
+    def started(self, store: ArrayStore | None = None) -> Any:
+        """A fresh instance, started with the losses of the surroundings and a store, which is empty if none is
+        given."""
         mapper = self.candidate.build()
         losses = [registry.build(loss, "loss") for loss in self.candidate.run.several("loss")]
         mapper.start(self.dataset.camera, losses, _SEED)
+        mapper.use_store(store or ArrayStore(Path(tempfile.mkdtemp(dir=self.folder.name))))
         return mapper
 
     def map(self, keyframes: list[Keyframe], break_after: int | None = None) -> Mapped:
@@ -77,7 +85,8 @@ class Subject:
 
         With ``break_after`` a fresh instance resumes after so many keyframes, from what a checkpoint would hold.
         """
-        mapper, reports, begin = self.started(), [], time.perf_counter()
+        store = ArrayStore(Path(tempfile.mkdtemp(dir=self.folder.name)))
+        mapper, reports, begin = self.started(store), [], time.perf_counter()
         numbers = [keyframe.frame.number for keyframe in keyframes]
         poses = np.stack([keyframe.T_world_cam for keyframe in keyframes])
         times = np.array([keyframe.frame.timestamp for keyframe in keyframes])
@@ -86,7 +95,7 @@ class Subject:
             reports.append(mapper.add_keyframe(keyframe, numbers[:k]))
             if k == break_after:
                 state = probes.through_a_file(mapper.state())
-                mapper = self.started()
+                mapper = self.started(store)
                 mapper.restore(state, iter(keyframes[:k]))
         seconds = (time.perf_counter() - begin) / len(keyframes)
         newest = mapper.render_frame(numbers[-1], False, self.view(keyframes[-1].T_world_cam))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from bench.gaussians.ply import read_ply, write_ply
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 _COLUMNS = ("planes", "first_moment", "second_moment", "birth_depth", "anchor")
+_SPARE = 1.25
+"""Columns get so many times the room that they need when they outgrow theirs."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,8 @@ class GaussianMap:
     ``planes`` (P, N): the parameters (``bench/gaussians/schema.py``). ``first_moment``, ``second_moment`` (P, N):
     Adam's. ``birth_depth`` (N,): metres from the camera when it was seeded. ``anchor`` (N,) int32: which keyframe
     seeded it, as an index of the keyframes that were added, or -1. Gaussians of one keyframe are neighbours, in the
-    order of the keyframes. Values may be changed in place; columns are not replaced from outside.
+    order of the keyframes. Values may be changed in place; columns are not replaced from outside. They are views into
+    buffers with room to spare, so that the map grows and shrinks in place: rows may be farther apart than N.
     """
 
     planes: Tensor
@@ -46,12 +51,15 @@ class GaussianMap:
     second_moment: Tensor
     birth_depth: Tensor
     anchor: Tensor
+    changes: int = 0
+    """Grows whenever Gaussians come, go or change places."""
 
     def __init__(self, sh_degree: int, device: str | torch.device) -> None:
-        for name in ("planes", "first_moment", "second_moment"):
-            setattr(self, name, torch.zeros(planes_of(sh_degree), 0, device=device))
-        self.birth_depth = torch.zeros(0, device=device)
-        self.anchor = torch.zeros(0, dtype=torch.int32, device=device)
+        rows = planes_of(sh_degree)
+        self._buffers = {name: torch.zeros(rows, 0, device=device) for name in _COLUMNS[:3]}
+        self._buffers["birth_depth"] = torch.zeros(0, device=device)
+        self._buffers["anchor"] = torch.zeros(0, dtype=torch.int32, device=device)
+        self._resize(0)
         self._numbers = np.zeros(0, dtype=np.int64)
         self._T_world_cam = np.zeros((0, 4, 4))
 
@@ -67,6 +75,16 @@ class GaussianMap:
     def sh_degree(self) -> int:
         """Degree of the spherical harmonics, 0 to 3."""
         return degree_of(len(self.planes))
+
+    @property
+    def keyframes(self) -> npt.NDArray[np.int64]:
+        """Numbers (K,) of the keyframes that ``anchor`` means."""
+        return self._numbers
+
+    @property
+    def poses(self) -> Float:
+        """``T_world_cam`` (K, 4, 4) of these, as the Gaussians stand for them."""
+        return self._T_world_cam
 
     def add(self, number: int, T_world_cam: Float, planes: Tensor, depths: Tensor) -> None:
         """New Gaussians of keyframe ``number`` at this pose (4, 4), seen at ``depths`` (M,) metres.
@@ -85,8 +103,44 @@ class GaussianMap:
 
     def keep(self, which: Tensor) -> None:
         """Drop all Gaussians but those of the (N,) bool mask, or of the indices (M,)."""
+        indices = torch.nonzero(which)[:, 0] if which.dtype == torch.bool else which
         for name in _COLUMNS:
-            setattr(self, name, getattr(self, name)[..., which].contiguous())
+            column = getattr(self, name)
+            for row in column if column.ndim == 2 else [column]:  # row by row: no second copy of the map
+                row[: len(indices)] = row[indices]
+        self._resize(len(indices))
+
+    def extended(self, others: Sequence[Tensor]) -> Tensor:
+        """Parameters (P, N + M) of this map's Gaussians and, after them, of ``others`` (P, M_k), M in all.
+
+        Good until the map grows, shrinks or is extended again: it is the map's own buffer.
+        """
+        end = len(self)
+        self._reserve("planes", end + sum(each.shape[1] for each in others))
+        self._resize(len(self))
+        for each in others:
+            self._buffers["planes"][:, end : end + each.shape[1]] = each
+            end += each.shape[1]
+        return self._buffers["planes"][:, :end]
+
+    def assign(self, which: Tensor, keyframes: Tensor) -> None:
+        """Make the Gaussians of the indices (M,) those of other keyframes: rows (M,) of ``keyframes``."""
+        self.anchor[which] = keyframes.to(self.anchor)
+        self.keep(torch.argsort(self.anchor, stable=True))
+
+    def absorb(self, other: GaussianMap) -> None:
+        """Take over Gaussians and keyframes of a map of the same degree, none of whose keyframes this one has."""
+        known = len(self._numbers)
+        self._numbers = np.concatenate([self._numbers, other._numbers])
+        self._T_world_cam = np.concatenate([self._T_world_cam, other._T_world_cam])
+        self._grow({name: getattr(other, name) for name in _COLUMNS} | {"anchor": other.anchor + known})
+
+    def forget_keyframes(self, which: npt.NDArray[np.bool_]) -> None:
+        """Forget keyframes of the mask (K,), which no Gaussian has any more."""
+        stays = ~which
+        rows = torch.from_numpy(np.cumsum(stays) - 1).to(self.anchor)
+        self.anchor.copy_(torch.where(self.anchor < 0, self.anchor, rows[self.anchor.clamp_min(0).long()]))
+        self._numbers, self._T_world_cam = self._numbers[stays], self._T_world_cam[stays]
 
     def replace(self, gone: Tensor, children: Tensor, parents: Tensor) -> None:
         """Put ``children`` (P', M) in, and take out those of the (N,) bool mask ``gone``.
@@ -102,7 +156,9 @@ class GaussianMap:
     def select(self, which: Tensor | slice) -> GaussianMap:
         """A map of some Gaussians by mask, indices or slice, which shares no memory with this one."""
         chosen = copy.copy(self)
-        chosen.keep(torch.arange(len(self), device=self.device)[which])
+        indices = torch.arange(len(self), device=self.device)[which]
+        chosen._buffers = {name: getattr(self, name)[..., indices].contiguous() for name in _COLUMNS}
+        chosen._resize(len(indices))
         return chosen
 
     def follow(self, trajectory: Trajectory, least_m: float, least_deg: float) -> MapMotion:
@@ -111,7 +167,7 @@ class GaussianMap:
         A keyframe's Gaussians follow once its pose differs from the one they stand for by more than ``least_m`` metres
         or ``least_deg`` degrees; until then the difference adds up. A keyframe that the trajectory lacks stays.
         """
-        anchors, places = _matches(self._numbers, trajectory.numbers)
+        anchors, places = matches(self._numbers, trajectory.numbers)
         old, new = self._T_world_cam[anchors], trajectory.T_world_cam[places]
         moved_m = np.linalg.norm(new[:, :3, 3] - old[:, :3, 3], axis=1)
         moved_deg = np.rad2deg(se3.rotation_angle(np.swapaxes(old[:, :3, :3], 1, 2) @ new[:, :3, :3]))
@@ -131,7 +187,7 @@ class GaussianMap:
 
     def state(self) -> dict[str, Any]:
         """All columns, and numbers (K,) and poses (K, 4, 4) of the keyframes, as CPU tensors."""
-        columns = {name: getattr(self, name).cpu() for name in _COLUMNS}
+        columns = {name: getattr(self, name).cpu().clone(memory_format=torch.contiguous_format) for name in _COLUMNS}
         return columns | {
             "numbers": torch.from_numpy(self._numbers),
             "T_world_cam": torch.from_numpy(self._T_world_cam),
@@ -140,8 +196,8 @@ class GaussianMap:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what ``state`` gave."""
         device = self.device
-        for name in _COLUMNS:
-            setattr(self, name, state[name].to(device))
+        self._buffers = {name: state[name].to(device) for name in _COLUMNS}
+        self._resize(len(state["anchor"]))
         self._numbers, self._T_world_cam = state["numbers"].numpy(), state["T_world_cam"].numpy()
 
     def save(self, path: Path) -> None:
@@ -165,9 +221,31 @@ class GaussianMap:
         missing = len(self.planes) - len(planes)
         planes = torch.nn.functional.pad(planes.to(self.device), (0, 0, 0, missing))
         moments = torch.zeros_like(planes)
-        new = (planes, moments, moments, depths.to(self.device), anchor)
-        for name, values in zip(_COLUMNS, new, strict=True):
-            setattr(self, name, torch.cat([getattr(self, name), values], -1))
+        self._grow(dict(zip(_COLUMNS, (planes, moments, moments, depths.to(self.device), anchor), strict=True)))
+
+    def _grow(self, new: dict[str, Tensor]) -> None:
+        """Put columns of M Gaussians behind those that are there."""
+        count, end = len(self), len(self) + len(new["anchor"])
+        for name, values in new.items():
+            self._reserve(name, end)
+            self._buffers[name][..., count:end] = values
+        self._resize(end)
+
+    def _reserve(self, name: str, count: int) -> None:
+        """Room for so many Gaussians in a column's buffer; what is in it stays."""
+        buffer = self._buffers[name]
+        if buffer.shape[-1] >= count:
+            return
+        # Rows that are a multiple of 4 KiB apart fall on the same lines of the processor's cache.
+        larger = torch.zeros(*buffer.shape[:-1], int(count * _SPARE) | 16, dtype=buffer.dtype, device=buffer.device)
+        larger[..., : buffer.shape[-1]] = buffer
+        self._buffers[name] = larger
+
+    def _resize(self, count: int) -> None:
+        """The first ``count`` entries of the buffers are the map."""
+        self.changes += 1
+        for name in _COLUMNS:
+            setattr(self, name, self._buffers[name][..., :count])
 
     def _move(self, which: slice, before: Float, after: Float) -> None:
         """Apply the motion that takes pose ``before`` to pose ``after`` to some Gaussians: x -> R x + t, q -> r q, and
@@ -202,7 +280,7 @@ class GaussianMap:
         self.second_moment[planes, which] = matrix.square() @ self.second_moment[planes, which]
 
 
-def _matches(numbers: np.ndarray, of_trajectory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def matches(numbers: np.ndarray, of_trajectory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Indices i, j of all pairs ``numbers[i] == of_trajectory[j]``; the second is without repetitions."""
     order = np.argsort(of_trajectory)
     at = np.searchsorted(of_trajectory, numbers, sorter=order)

@@ -9,6 +9,7 @@ import torch
 from bench.contracts.map_view import ImageLoss, MapView
 from bench.contracts.rasterizer import Rasterizer, Rendered
 from bench.errors import BenchError
+from bench.gaussians.chunked_map import ChunkedMap
 from bench.gaussians.map import GaussianMap
 from bench.types import Float, Map, PinholeView, RenderedView
 
@@ -22,7 +23,7 @@ def as_arrays(rendered: Rendered) -> RenderedView:
 class GaussianMapView(MapView):
     """Looks at ``gaussians`` as they are when it is asked; never changes them."""
 
-    def __init__(self, gaussians: GaussianMap, rasterizer: Rasterizer) -> None:
+    def __init__(self, gaussians: GaussianMap | ChunkedMap, rasterizer: Rasterizer) -> None:
         self._map, self._rasterizer = gaussians, rasterizer
 
     def render(self, view: PinholeView) -> RenderedView:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from bench.errors import BenchError, require_between, require_choice, require_least
 from bench.gaussians.schema import MAX_DEGREE
 from bench.gaussians.seeding import SeedingConfig
@@ -59,9 +61,21 @@ class GaussianMapperConfig(PluginConfig):
     The run folder gets the masks, ``views/left/moving``."""
     cached_targets: int = 12
     """How many keyframes keep their derived images in memory."""
-    replayed_keyframes: int = 1000
-    """How many keyframes keep their image and depth to be learned from again (3.7 MB each at KITTI's size); of more,
-    those with the closest neighbours are let go."""
+    chunk_m: float = 25.0
+    """The map is made in chunks of keyframes: so many metres of the camera's way each."""
+    live_m: float = field(default=50.0, metadata={"infinite": True})
+    """A chunk gets its last iterations when the camera is so many metres away from it, and goes to disk: in memory
+    remains what the camera is near to (inf: the whole map, which is then optimised at the end)."""
+    live_keyframes: int = 200
+    """The oldest chunk goes to disk, too, with more keyframes than this in memory."""
+    revisit_m: float = 15.0
+    """A chunk on disk is learned from again when the camera comes so near to one of its keyframes."""
+    far_m: float = 120.0
+    """Chunks on disk are drawn as far as this."""
+    detail_m: float = 40.0
+    """And from here on, and again from twice as far, in fewer Gaussians: those of 1.5 pixels are merged."""
+    chunk_memory_mb: float = field(default=500.0, metadata={"infinite": True})
+    """As much of the chunks on disk stays in memory beside what is being drawn; results are the same for any."""
     follow_corrections_m: float = field(default=0.01, metadata={"infinite": True})
     """Gaussians move with their keyframe once its pose has been corrected by more metres (0: always, inf: never);
     following every small correction of local bundle adjustment changes quality by less than 0.1 dB either way."""
@@ -117,8 +131,11 @@ class GaussianMapperConfig(PluginConfig):
             raise BenchError(
                 f"mapper.depth_range_m={list(self.depth_range_m)} must be [near, far] with 0 < near < far."
             )
-        if self.replayed_keyframes < 1:
-            raise BenchError(f"mapper.replayed_keyframes={self.replayed_keyframes} must be at least 1.")
+        ways = ("live_m", "revisit_m", "far_m", "chunk_memory_mb")
+        require_least("mapper", self, live_keyframes=16, **dict.fromkeys(ways, 0))
+        for name, usual in (("chunk_m", 25), ("detail_m", 40)):
+            if not 0 < getattr(self, name) < np.inf:
+                raise BenchError(f"mapper.{name}={getattr(self, name)} must be above 0 metres (usual: {usual}).")
         if not min(self.follow_corrections_m, self.follow_corrections_deg) >= 0:
             raise BenchError(
                 "mapper.follow_corrections_m and mapper.follow_corrections_deg must be 0 (always) or more (inf: never)."

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -15,9 +17,13 @@ import torch
 from bench import registry
 from bench.contracts.loss import LossTerm, NotFiniteError
 from bench.contracts.map_view import MapView
-from bench.contracts.mapper import MapNeeds, Mapper
+from bench.contracts.mapper import CannotRenderError, MapNeeds, Mapper
 from bench.contracts.rasterizer import Rasterizer
 from bench.errors import BenchError
+from bench.gaussians.chunk_schedule import ChunkSchedule
+from bench.gaussians.chunked_map import Block, ChunkDrawing, ChunkedMap
+from bench.gaussians.keyframe_store import KeyframeStore
+from bench.gaussians.last_optimisation import LastOptimisation
 from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.map import GaussianMap
 from bench.gaussians.map_view import GaussianMapView, as_arrays
@@ -27,11 +33,15 @@ from bench.gaussians.optimizer import LearningRates, MapOptimizer
 from bench.gaussians.pose_refinement import PoseRefinement
 from bench.gaussians.schema import OPACITY_LOGIT
 from bench.gaussians.seeding import depth_to_seed_from, seed_gaussians
+from bench.io.array_store import ArrayStore
 from bench.registry import register
+from bench.runs.memory import MemoryBudget
 from bench.supervision.appearance import Appearance
 from bench.supervision.moving import MovingThings
 from bench.supervision.target import Target, right_target_of, target_of
 from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
+
+log = logging.getLogger(__name__)
 
 # Steps of a new keyframe's pose before it adds Gaussians.
 _SETTLING_STEPS = 12
@@ -54,16 +64,30 @@ class GaussianMapper(Mapper):
         self._random = np.random.default_rng(seed)
         rates = LearningRates(c.position_rate, c.color_rate, c.opacity_rate, c.scale_rate, c.rotation_rate)
         self._optimizer = MapOptimizer(rates, c.second_moment_decay)
-        self._map = GaussianMap(c.sh_degree, self._rasterizer.device)
-        self._keyframes: dict[int, Keyframe] = {}
+        self._schedule = ChunkSchedule(c.chunk_m, c.live_m, c.live_keyframes)
+        self._last: LastOptimisation | None = None
+        self._lost_told = 0
+        self._room = True  # on disk, for what is left behind
+        self._seen_trajectory: Trajectory | None = None
+        self._folder = TemporaryDirectory(prefix="bgs-map-")  # a run gives a store in its own folder
+        self.use_store(ArrayStore(Path(self._folder.name)))
         self._views: dict[tuple[int, bool], PinholeView] = {}
         self._targets: OrderedDict[tuple[int, bool], tuple[Target, Target]] = OrderedDict()
         self._appearance = Appearance(camera, c.camera_color, c.exposure)
         self._refinement = PoseRefinement(c.pose_refinement)
         self._moving = MovingThings(camera) if c.moving else None
-        self._final_done = 0
-        self._round: list[int] = []  # whose turn it still is in this round of the last optimisation
         self._happened: list[tuple[str, dict[str, Any]]] = []
+
+    def use_store(self, store: ArrayStore) -> None:
+        c = self.config
+        follow = (c.follow_corrections_m, c.follow_corrections_deg)
+        drawing = ChunkDrawing(c.far_m, c.detail_m, self._camera.fx, *follow, c.chunk_memory_mb * 1e6)
+        live = GaussianMap(c.sh_degree, self._rasterizer.device)
+        self._store, self._keyframes = store, KeyframeStore(store)
+        self._map = ChunkedMap(live, store, drawing)
+
+    def use_memory_budget(self, budget: MemoryBudget) -> None:
+        self._map.budget = budget
 
     @property
     def gaussians(self) -> int:
@@ -75,33 +99,32 @@ class GaussianMapper(Mapper):
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
         number = keyframe.frame.number
-        self._keyframes[number] = self._to_keep(keyframe)
+        self._keyframes.add(self._to_keep(keyframe))
         self._appearance.camera_colors.learn(keyframe)
         self._refinement.add(number)
-        self._let_go(window)
+        self._come_to(number)
         if self._moving is not None:
             for changed in self._moving.add(keyframe):
                 self._targets.pop((changed, False), None)
         self._settle(number)
-        self._seed(keyframe)
+        self._seed(number)
         coarse = round(self.config.iterations * self.config.coarse_share)
         values: dict[str, float] = {}
         for iteration in range(self.config.iterations):
             step = f"keyframe {number}, iteration {iteration + 1} of {self.config.iterations}"
             values = self._iterate(self._choose(number, window), iteration < coarse, step) or values
         self._require_finite(f"after the iterations of keyframe {number}")
+        self._leave_behind(number)
         self._prune()
         psnr_db, events = self._psnr(number), self._events(number)
         return MappingReport(psnr_db, values, events)
 
     def update_poses(self, trajectory: Trajectory) -> None:
-        for number, pose in zip(trajectory.numbers.tolist(), trajectory.T_world_cam, strict=True):
-            known = self._keyframes.get(number)
-            if known is not None and not np.array_equal(known.T_world_cam, pose):
-                self._keyframes[number] = replace(known, T_world_cam=pose)
-                self._forget_views(number)
-        c = self.config
-        motion = self._map.follow(trajectory, c.follow_corrections_m, c.follow_corrections_deg)
+        for row in self._corrected(trajectory):
+            number = int(trajectory.numbers[row])
+            self._keyframes.set_pose(number, trajectory.T_world_cam[row])
+            self._forget_views(number)
+        motion = self._map.follow(trajectory)
         if motion.keyframes:
             self._happened.append(("map_moved", asdict(motion)))
 
@@ -110,33 +133,34 @@ class GaussianMapper(Mapper):
             pass
 
     def final_steps(self) -> Iterator[tuple[Event, ...]]:
-        if not self._keyframes:
+        live = self._schedule.live
+        if not live:
             return
-        numbers = list(self._keyframes)
-        coarse = self.config.final_coarse_iterations * len(numbers)
-        last = coarse + self.config.final_iterations * len(numbers)
-        while self._final_done < last:
-            if self._final_done == coarse and self.config.refine_stride:
-                self._prune()
-                for number in numbers:
-                    self._seed(self._keyframes[number], refine=True)
-            if not self._round:
-                self._round = self._random.permutation(numbers).tolist()
-            step = f"last optimisation, iteration {self._final_done + 1} of {last}"
-            self._iterate(self._round.pop(), self._final_done < coarse, step)
-            self._final_done += 1
-            yield self._events(numbers[-1])
+        self._map.look_from(self._keyframes.pose(live[-1])[:3, 3])
+        if self._last is not None and not self._last.of_rest:
+            while not self._last.over:
+                self._step_of_last(self._last)
+                yield self._events(live[-1])
+            self._freeze(self._last.numbers)
+            self._last = None
+        if self._last is None:
+            self._last = self._last_optimisation(self._schedule.live, of_rest=True)
+        while not self._last.over:
+            self._step_of_last(self._last)
+            yield self._events(live[-1])
         self._require_finite("after the last optimisation")
         self._prune()
-        yield self._events(numbers[-1])
+        yield self._events(live[-1])
 
     def state(self) -> dict[str, Any]:
+        of_map, of_keyframes = self._map.state(), self._keyframes.state()
         return {
-            "map": self._map.state(),
+            "map": of_map,
+            "keyframes": of_keyframes,
+            "stored": [*of_map["stored"], *of_keyframes["stored"]],
+            "schedule": self._schedule.state(),
+            "last": None if self._last is None else asdict(self._last),
             "optimizer_steps": self._optimizer.steps,
-            "poses": {number: torch.from_numpy(known.T_world_cam) for number, known in self._keyframes.items()},
-            "final_done": self._final_done,
-            "round": list(self._round),
             "appearance": self._appearance.state(),
             "refinement": self._refinement.state(),
             # Numbers of 128 bits, which a restricted unpickler need not know.
@@ -144,20 +168,24 @@ class GaussianMapper(Mapper):
         }
 
     def restore(self, state: dict[str, Any], keyframes: Iterable[Keyframe]) -> None:
-        for keyframe in keyframes:
-            if self._moving is not None:
+        if self._moving is not None:  # all others lie in the store
+            for keyframe in keyframes:
                 self._moving.add(keyframe)
-            pose = state["poses"].get(keyframe.frame.number)
-            if pose is not None:
-                self._keyframes[keyframe.frame.number] = self._to_keep(replace(keyframe, T_world_cam=pose.numpy()))
+        self._store.discard(state["stored"])
+        self._keyframes.restore(state["keyframes"])
+        self._schedule.restore(state["schedule"])
+        self._last = None if state["last"] is None else LastOptimisation(**state["last"])
         self._appearance.restore(state["appearance"])
         self._refinement.restore(state["refinement"])
         self._map.restore(state["map"])
+        self._lost_told = len(self._map.lost)
         self._optimizer.steps = state["optimizer_steps"]
-        self._final_done, self._round = state["final_done"], list(state["round"])
         self._random.bit_generator.state = json.loads(state["random"])
+        if self._schedule.live:
+            self._map.look_from(self._keyframes.pose(self._schedule.live[-1])[:3, 3])
 
     def render(self, view: PinholeView, depth: Map | None = None) -> RenderedView:
+        self._look_from(view)
         return self.view().render(view)
 
     def render_frame(self, number: int, right: bool, view: PinholeView, depth: Map | None = None) -> RenderedView:
@@ -165,6 +193,7 @@ class GaussianMapper(Mapper):
             offset = self._camera.T_left_right if right else np.eye(4)
             left = self._refinement.corrected(number, view.T_world_cam @ np.linalg.inv(offset))
             view = replace(view, T_world_cam=left @ offset)
+        self._look_from(view)
         rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
         return as_arrays(replace(rendered, color=self._appearance.shown(rendered.color, number, right)))
 
@@ -182,19 +211,84 @@ class GaussianMapper(Mapper):
     def needs(self, frames: int) -> MapNeeds:
         return map_needs(self._camera.width * self._camera.height, frames, self.config.sh_degree)
 
-    def _let_go(self, window: Sequence[int]) -> None:
-        """Forget what is beyond ``replayed_keyframes``: the keyframe whose neighbours are closest in frame numbers."""
-        numbers = np.array(sorted(self._keyframes))
-        if len(numbers) <= self.config.replayed_keyframes:
+    def _look_from(self, view: PinholeView) -> None:
+        """Have what a view needs; raises ``CannotRenderError`` where a part of that is lost."""
+        place = view.T_world_cam[:3, 3]
+        self._map.look_from(place)
+        for block in self._map.lost_near(place):
+            raise CannotRenderError(_lost_in_words(block))
+
+    def _come_to(self, number: int) -> None:
+        """A new keyframe is there: what was left behind near its place lives again."""
+        self._schedule.add(number, self._keyframes.pose)
+        place = self._keyframes.pose(number)[:3, 3]
+        for chunk in self._schedule.to_reopen(self._map.keyframes_within(place, self.config.revisit_m)):
+            self._map.reopen(chunk)
+            self._schedule.reopen(chunk)
+            self._happened.append(("chunk_reopened", {"first": chunk[0], "last": chunk[-1]}))
+        self._map.look_from(place)
+
+    def _leave_behind(self, number: int) -> None:
+        """Go on with the last optimisation of what the camera has left behind, by as much as a keyframe brings."""
+        if not self._room:
             return
-        gaps = (numbers[2:] - numbers[:-2]).astype(np.float64)
-        gaps[np.isin(numbers[1:-1], window)] = np.inf
-        if np.isfinite(gaps).any():
-            number = int(numbers[1 + np.argmin(gaps)])
-            del self._keyframes[number]
+        due = self._schedule.due(self._keyframes.pose(number)[:3, 3], self._keyframes.pose)
+        if self._last is None and due:
+            self._last = self._last_optimisation(due[0])
+        if self._last is None:
+            return
+        per_keyframe = self.config.final_coarse_iterations + self.config.final_iterations
+        for _ in range(per_keyframe * max(len(due), 1)):
+            if self._last.over:
+                break
+            self._step_of_last(self._last)
+        if self._last.over:
+            self._freeze(self._last.numbers)
+            self._last = None
+            self._map.look_from(self._keyframes.pose(number)[:3, 3])
+
+    def _last_optimisation(self, numbers: Sequence[int], of_rest: bool = False) -> LastOptimisation:
+        c = self.config
+        again = not of_rest and self._schedule.was_frozen(numbers)
+        coarse = 0 if again else c.final_coarse_iterations
+        return LastOptimisation(list(numbers), coarse, c.final_iterations, c.refine_stride > 0 and not again, of_rest)
+
+    def _step_of_last(self, last: LastOptimisation) -> None:
+        """One iteration of the last optimisation of some keyframes, with the second seeding at its time."""
+        if last.done == last.first_fine and last.seeds:
+            self._prune()
+            for number in last.numbers:
+                self._seed(number, refine=True)
+        step = f"last optimisation, iteration {last.done + 1} of {last.steps}"
+        number, half = last.next(self._random)
+        self._iterate(number, half, step)
+
+    def _freeze(self, chunk: Sequence[int]) -> None:
+        """A chunk is done: to disk with it; where that can't be written it stays in memory."""
+        self._prune()
+        self._require_finite(f"after the last optimisation of keyframes {chunk[0]} to {chunk[-1]}")
+        try:
+            for number in chunk:
+                self._keyframes.let_go(number)
+            self._map.freeze(chunk)
+        except BenchError as error:
+            log.warning("from keyframe %d on the map stays in memory: %s", chunk[0], error)
+            self._room = False
+            return
+        self._schedule.freeze(list(chunk))
+        self._happened.append(("chunk_frozen", {"first": chunk[0], "last": chunk[-1]}))
+        for number in chunk:
             self._forget_views(number)
             self._targets.pop((number, False), None)
             self._targets.pop((number, True), None)
+
+    def _corrected(self, trajectory: Trajectory) -> list[int]:
+        """Rows of keyframes whose pose is another one than in the trajectory before."""
+        before, self._seen_trajectory = self._seen_trajectory, trajectory
+        changed = np.ones(len(trajectory), bool)
+        if before is not None and np.array_equal(before.numbers, trajectory.numbers[: len(before)]):
+            changed[: len(before)] = (before.T_world_cam != trajectory.T_world_cam[: len(before)]).any(axis=(1, 2))
+        return [row for row in np.flatnonzero(changed).tolist() if int(trajectory.numbers[row]) in self._keyframes]
 
     def _to_keep(self, keyframe: Keyframe) -> Keyframe:
         """What is learned from again: right images only where they are, since those of a long sequence fill memory."""
@@ -206,7 +300,7 @@ class GaussianMapper(Mapper):
     def _view(self, number: int, right: bool = False) -> PinholeView:
         """The view of a keyframe, made once per pose."""
         if (number, right) not in self._views:
-            T_world_cam = self._refinement.corrected(number, self._keyframes[number].T_world_cam)
+            T_world_cam = self._refinement.corrected(number, self._keyframes.pose(number))
             T_world_cam = T_world_cam @ self._camera.T_left_right if right else T_world_cam
             self._views[number, right] = PinholeView.of(self._camera, T_world_cam)
         return self._views[number, right]
@@ -219,7 +313,7 @@ class GaussianMapper(Mapper):
         """The cached target of a keyframe; the least recently used one is dropped."""
         pair = self._targets.pop((number, right), None)
         if pair is None:
-            view, device, c = self._view(number, right), self._map.device, self.config
+            view, device, c = self._view(number, right), self._map.live.device, self.config
             if right:
                 full = right_target_of(self._keyframes[number], view, c.depth_range_m, device)
             else:
@@ -234,10 +328,11 @@ class GaussianMapper(Mapper):
     def _choose(self, newest: int, window: Sequence[int]) -> int:
         """Draw a view: the newest keyframe, one of the window, or an older one."""
         draw = self._random.random()
-        others = [n for n in window if n != newest and n in self._keyframes]
+        live = self._schedule.live
+        others = [n for n in window if n != newest and n in live]
         if draw >= self.config.newest_share and others and draw < self.config.newest_share + self.config.window_share:
             return others[int(self._random.integers(len(others)))]
-        older = [n for n in self._keyframes if n != newest and n not in others]
+        older = [n for n in live if n != newest and n not in others]
         if draw >= self.config.newest_share + self.config.window_share and older:
             return older[int(self._random.integers(len(older)))]
         return newest
@@ -261,9 +356,11 @@ class GaussianMapper(Mapper):
             raise BenchError(f"{step} (view of frame {number}, {size}): {error}") from error
         refine = self._refinement.on and not right
         by_color = self._appearance.back(by_color, shown, number, right, target.limit)
-        by_parameters = self._rasterizer.backward(rendered, by_color, by_depth, by_alpha, pose=refine)
+        by_parameters = self._rasterizer.backward(
+            rendered, by_color, by_depth, by_alpha, pose=refine, learning=len(self._map.live)
+        )
         if map_learns:
-            self._optimizer.step(self._map, by_parameters)
+            self._optimizer.step(self._map.live, by_parameters)
         if refine:
             assert by_parameters.twist is not None
             self._refinement.step(number, by_parameters.twist)
@@ -280,9 +377,9 @@ class GaussianMapper(Mapper):
         for _ in range(_SETTLING_STEPS if self.gaussians and self._refinement.on else 0):
             self._iterate(number, True, f"settling of keyframe {number}", map_learns=False)
 
-    def _seed(self, keyframe: Keyframe, refine: bool = False) -> None:
+    def _seed(self, number: int, refine: bool = False) -> None:
         """Add Gaussians where the map does not explain the keyframe yet (METHOD, "seeding")."""
-        c, number = self.config, keyframe.frame.number
+        c, keyframe = self.config, self._keyframes[number]
         seeding = replace(c.seeding, stride=c.refine_stride, min_error=c.refine_error) if refine else c.seeding
         view, target = self._view(number), self._target(number, half=False)
         margin = seeding.margin_columns(view.width)
@@ -298,12 +395,13 @@ class GaussianMapper(Mapper):
         depth = depth_to_seed_from(keyframe, c.depth_range_m, seeding)
         image = self._appearance.in_map(number, keyframe.frame.left)
         planes, depths = seed_gaussians(image, depth, keyframe.sky, unexplained, view, seeding)
-        self._map.add(number, self._keyframes[number].T_world_cam, planes, depths)
+        self._map.live.add(number, keyframe.T_world_cam, planes, depths)
 
     def _require_finite(self, when: str) -> None:
         """``BenchError`` that says ``when``, for a map that holds NaN: gradients can be no numbers where losses are."""
-        if not bool(torch.isfinite(self._map.planes).all()):
-            spoilt = int((~torch.isfinite(self._map.planes)).any(dim=0).sum())
+        planes = self._map.live.planes
+        if not bool(torch.isfinite(planes).all()):
+            spoilt = int((~torch.isfinite(planes)).any(dim=0).sum())
             raise BenchError(
                 f"{when}: {spoilt} of {self.gaussians} Gaussians are not finite. Lower the mapper's rates, or see "
                 "which loss term does it with its weight at 0."
@@ -311,14 +409,17 @@ class GaussianMapper(Mapper):
 
     def _prune(self) -> None:
         """Remove Gaussians below the opacity threshold (paper, "Implementation Details")."""
-        keep = torch.sigmoid(self._map.planes[OPACITY_LOGIT]) >= self.config.prune_opacity
+        keep = torch.sigmoid(self._map.live.planes[OPACITY_LOGIT]) >= self.config.prune_opacity
         if bool(keep.all()):
             return
         self._happened.append(("pruned", {"count": int((~keep).sum())}))
-        self._map.keep(keep)
+        self._map.live.keep(keep)
 
     def _events(self, number: int) -> tuple[Event, ...]:
         """What happened to the map since this was asked last; keyframe ``number`` is the newest."""
+        for block in self._map.lost[self._lost_told :]:
+            self._happened.append(("warning", {"text": _lost_in_words(block)}))
+        self._lost_told = len(self._map.lost)
         events = tuple(Event(kind, number, values) for kind, values in self._happened)
         self._happened = []
         return events
@@ -328,3 +429,7 @@ class GaussianMapper(Mapper):
         shown = self._appearance.shown(rendered.color, number, right=False)
         error = shown.clamp(0.0, 1.0) - self._target(number, half=False).image
         return float(-10.0 * torch.log10((error * error).mean().clamp_min(1e-10)))
+
+
+def _lost_in_words(block: Block) -> str:
+    return f"the map of keyframes {block.keyframes[0]} to {block.keyframes[-1]} is lost: its file was damaged"

@@ -187,21 +187,6 @@ def test_a_keyframe_that_is_lost_stays_and_an_event_tells_what_moved(tmp_path: P
     assert next(mapper.final_steps()) == ()
 
 
-def test_only_so_many_keyframes_are_kept_and_the_map_follows_all(tmp_path: Path) -> None:
-    """Of frames 0 to 3 with room for two, the newest of the window and the first stay."""
-    mapper, ranges = started(iterations=2, prune_opacity=0.0, replayed_keyframes=2), []
-    for k, keyframe in enumerate(street()[1]):
-        before = mapper.gaussians
-        mapper.add_keyframe(keyframe, [k])
-        ranges.append(slice(before, mapper.gaussians))
-    assert list(mapper._keyframes) == [0, 3]
-    means, _ = in_ply(mapper, tmp_path)
-    mapper.update_poses(trajectory({1: GENERAL}))
-    expected = means[ranges[1]] @ GENERAL[:3, :3].T + GENERAL[:3, 3]
-    np.testing.assert_allclose(in_ply(mapper, tmp_path)[0][ranges[1]], expected, rtol=1e-5, atol=1e-4)
-    mapper.finish()
-
-
 def test_right_images_do_not_stay_in_memory() -> None:
     keyframe = street()[1][0]
     right = keyframe.frame.right.copy()
@@ -213,7 +198,7 @@ def test_right_images_do_not_stay_in_memory() -> None:
     assert alive() is None
 
 
-@pytest.mark.parametrize("setting", ["follow_corrections_m", "follow_corrections_deg", "replayed_keyframes"])
+@pytest.mark.parametrize("setting", ["follow_corrections_m", "follow_corrections_deg", "live_keyframes"])
 def test_settings_below_their_least(setting: str) -> None:
     with pytest.raises(BenchError, match=f"mapper.{setting}"):
         GaussianMapper(GaussianMapperConfig("gaussian", **{setting: -1}))

@@ -1,0 +1,87 @@
+"""Which keyframes are learned from together, and when those left behind are done: the map in chunks along the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bench.types import Float
+
+
+@dataclass
+class ChunkSchedule:
+    """Keyframes in chunks of neighbours: the newest one is ``open``, older ones are ``waiting`` for their last
+    optimisation, and ``frozen`` ones are done. All but the frozen ones are live.
+
+    ``again``: live keyframes that have been frozen before. ``length_m``: way of the camera in a chunk. ``behind_m``:
+    how far the camera is from all of a chunk that is due; the oldest one is due, too, with more than ``most`` live
+    keyframes.
+    """
+
+    length_m: float
+    behind_m: float
+    most: int
+    open: list[int] = field(default_factory=list)
+    waiting: list[list[int]] = field(default_factory=list)
+    frozen: list[list[int]] = field(default_factory=list)
+    again: set[int] = field(default_factory=set)
+
+    @property
+    def live(self) -> list[int]:
+        """Numbers of the live keyframes, as they came."""
+        return sorted([*(number for chunk in self.waiting for number in chunk), *self.open])
+
+    def add(self, number: int, pose_of: Callable[[int], Float]) -> None:
+        """A new keyframe; ``pose_of`` gives the ``T_world_cam`` of each."""
+        self.open.append(number)
+        way = np.linalg.norm(np.diff([pose_of(each)[:3, 3] for each in self.open], axis=0), axis=1).sum()
+        if way >= self.length_m or len(self.open) > self.most // 4:
+            self.waiting.append(self.open)
+            self.open = []
+
+    def due(self, place: Float, pose_of: Callable[[int], Float]) -> list[list[int]]:
+        """The waiting chunks whose last optimisation is due, with the camera at ``place`` (3,), the oldest first."""
+        crowded = len(self.live) > self.most
+        return [
+            chunk
+            for at, chunk in enumerate(self.waiting)
+            if (crowded and at == 0) or min(np.linalg.norm(pose_of(n)[:3, 3] - place) for n in chunk) >= self.behind_m
+        ]
+
+    def to_reopen(self, near: Collection[int]) -> list[list[int]]:
+        """The frozen chunks with one of the keyframes ``near``, as long as there may be more live keyframes."""
+        found, count = [], len(self.live)
+        for chunk in self.frozen if near else ():
+            if not set(near).isdisjoint(chunk) and count + len(chunk) <= self.most:
+                found.append(chunk)
+                count += len(chunk)
+        return found
+
+    def was_frozen(self, chunk: Sequence[int]) -> bool:
+        """Whether the chunk of these keyframes, or a part of it, has been frozen before."""
+        return not self.again.isdisjoint(chunk)
+
+    def freeze(self, chunk: list[int]) -> None:
+        """A waiting chunk is done."""
+        self.waiting.remove(chunk)
+        self.frozen.append(chunk)
+        self.again -= set(chunk)
+
+    def reopen(self, chunk: list[int]) -> None:
+        """A frozen chunk lives again."""
+        self.frozen.remove(chunk)
+        self.waiting.insert(0, chunk)
+        self.again |= set(chunk)
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        chunks = {name: [list(chunk) for chunk in getattr(self, name)] for name in ("waiting", "frozen")}
+        return {"open": list(self.open), **chunks, "again": sorted(self.again)}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Resume from what ``state`` gave."""
+        self.open, self.waiting, self.frozen = list(state["open"]), list(state["waiting"]), list(state["frozen"])
+        self.again = set(state["again"])

@@ -1,0 +1,213 @@
+"""A map in chunks on disk: the same bits whatever stays in memory, nothing lost, and it moves with its keyframes."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from bench.contracts.mapper import CannotRenderError
+from bench.errors import BenchError
+from bench.gaussians.chunk_schedule import ChunkSchedule
+from bench.gaussians.chunked_map import ChunkDrawing, ChunkedMap
+from bench.gaussians.map import GaussianMap
+from bench.gaussians.schema import LOG_SCALE, MEAN
+from bench.io.array_store import ArrayStore
+from bench.types import DepthMap, Keyframe, PinholeView, Trajectory
+from plugins.datasets.street import Street, StreetConfig
+from plugins.losses.geo import GeoConfig, GeoLoss
+from plugins.losses.rgb import RgbConfig, RgbLoss
+from plugins.mappers.gaussian import GaussianMapper, GaussianMapperConfig
+
+FRAMES = 9
+# A car's way of metres stands for one of hundreds.
+SHORT = {"chunk_m": 1.5, "live_m": 2.5, "far_m": 3.0, "revisit_m": 0.5}
+FEW = {"iterations": 2, "final_coarse_iterations": 1, "final_iterations": 1, "prune_opacity": 0.0}
+
+
+@cache
+def street() -> tuple[Street, list[Keyframe]]:
+    """Nine frames a metre apart and back to the second, with exact depth, sky and poses."""
+    dataset = Street(StreetConfig("street", frames=FRAMES, width=80, height=32))
+    truth = dataset.ground_truth()
+    assert truth is not None
+    keyframes = []
+    for k in range(FRAMES):
+        depth = DepthMap(dataset.true_depth(k), "truth")
+        keyframes.append(Keyframe(dataset.frame(k), depth, dataset.true_sky(k), truth.T_world_cam[k]))
+    return dataset, keyframes
+
+
+def started(store: Path, **settings: object) -> GaussianMapper:
+    mapper = GaussianMapper(GaussianMapperConfig("gaussian", **{**SHORT, **FEW, **settings}))  # type: ignore[arg-type]
+    mapper.start(street()[0].camera, [RgbLoss(RgbConfig("rgb")), GeoLoss(GeoConfig("geo"))], 0)
+    mapper.use_store(ArrayStore(store))
+    return mapper
+
+
+def poses(changed: dict[int, np.ndarray] | None = None) -> Trajectory:
+    T = np.stack([keyframe.T_world_cam for keyframe in street()[1]])
+    for number, motion in (changed or {}).items():
+        T[number] = motion @ T[number]
+    return Trajectory(T, np.arange(FRAMES), np.arange(FRAMES) / 10)
+
+
+def results(mapper: GaussianMapper, path: Path) -> list[bytes]:
+    mapper.save(path)
+    views = [PinholeView.of(street()[0].camera, T) for T in poses().T_world_cam]
+    return [path.read_bytes(), *(mapper.render_frame(k, False, view).color.tobytes() for k, view in enumerate(views))]
+
+
+def mapped(tmp_path: Path, **settings: object) -> GaussianMapper:
+    mapper = started(tmp_path, **settings)
+    for k, keyframe in enumerate(street()[1]):
+        mapper.add_keyframe(keyframe, [k])
+    mapper.finish()
+    return mapper
+
+
+def test_the_same_bits_whatever_stays_in_memory(tmp_path: Path) -> None:
+    """With room for no chunk each look pages; with room for all none does twice."""
+    paged, held = (mapped(tmp_path / name, chunk_memory_mb=mb) for name, mb in (("paged", 0.0), ("held", np.inf)))
+    assert len(paged._schedule.frozen) >= 2
+    assert results(paged, tmp_path / "a.ply") == results(held, tmp_path / "b.ply")
+
+
+def test_resumed_to_the_bit_at_each_keyframe(tmp_path: Path) -> None:
+    whole, broken = mapped(tmp_path / "whole"), started(tmp_path / "broken")
+    for k, keyframe in enumerate(street()[1]):
+        broken.add_keyframe(keyframe, [k])
+        torch.save(broken.state(), tmp_path / "state.pt")
+        broken = started(tmp_path / "broken")
+        broken.restore(torch.load(tmp_path / "state.pt", weights_only=True), iter(()))
+    broken.finish()
+    assert results(broken, tmp_path / "a.ply") == results(whole, tmp_path / "b.ply")
+
+
+def chunked(store: ArrayStore, reach_m: float = 1e3, detail_m: float = 1e3) -> tuple[ChunkedMap, GaussianMap]:
+    """Gaussians of nine keyframes of which the first three are on disk; and the same as one map in memory."""
+    random = torch.Generator().manual_seed(0)
+    live = GaussianMap(1, "cpu")
+    for k, T in enumerate(poses().T_world_cam):
+        planes = torch.randn(23, 50, generator=random)
+        planes[MEAN] = planes[MEAN] * 0.3 + torch.from_numpy(T[:3, 3:]).float()
+        planes[LOG_SCALE] -= 4
+        live.add(k, T, planes, torch.ones(50))
+    split = ChunkedMap(live, store, ChunkDrawing(reach_m, detail_m, 10.0, 0.01, 0.05, 0.0))
+    split.freeze([0, 1, 2])
+    # The hand-over of what lies nearer to other keyframes is the same in both.
+    whole = GaussianMap(1, "cpu")
+    frozen = ChunkedMap._map_of(split, next(iter(split._blocks.values())))
+    assert frozen is not None
+    whole.absorb(frozen)
+    whole.absorb(live.select(slice(None)))
+    return split, whole
+
+
+def test_what_goes_is_what_lies_nearest_to_its_keyframes(tmp_path: Path) -> None:
+    split, whole = chunked(ArrayStore(tmp_path))
+    assert len(split) == len(whole) == 50 * FRAMES
+    places = poses().T_world_cam[:, :3, 3]
+    stored = whole.planes[:, : len(split) - len(split.live)]
+    for planes, sides in ((split.live.planes, {3, 4, 5, 6, 7, 8}), (stored, {0, 1, 2})):
+        distance = np.linalg.norm(planes[MEAN].T.numpy()[:, None].astype(np.float64) - places[None], axis=2)
+        assert set(distance.argmin(1).tolist()) <= sides
+    assert len(split.live) < 50 * 7
+
+
+def test_chunks_follow_corrections_as_live_gaussians_do(tmp_path: Path) -> None:
+    """By a large one, and by one that is too small to be followed, until it has added up."""
+    split, whole = chunked(ArrayStore(tmp_path))
+    turn = np.array([[0.0, 0, 1, 2], [0, 1, 0, 1], [-1, 0, 0, 3], [0, 0, 0, 1]])
+    small = np.eye(4)
+    small[0, 3] = 0.006
+    for changed in ({1: turn}, {1: turn, 0: small, 5: small}, {1: turn, 0: small @ small, 5: small @ small}):
+        split.follow(poses(changed))
+        whole.follow(poses(changed), 0.01, 0.05)
+        split.look_from(np.zeros(3))
+        stored, live = whole.planes.split([len(split) - len(split.live), len(split.live)], dim=1)
+        torch.testing.assert_close(split.planes, torch.cat([live, stored], 1), rtol=1e-5, atol=1e-5)
+
+
+def test_only_chunks_within_reach_are_drawn(tmp_path: Path) -> None:
+    split, _ = chunked(ArrayStore(tmp_path), reach_m=5.0)
+    split.look_from(np.array([0.0, 0.0, 400.0]))
+    assert split.planes.shape[1] == len(split.live)
+    split.look_from(np.zeros(3))
+    assert split.planes.shape[1] == len(split)
+
+
+def test_what_is_far_is_drawn_in_fewer_gaussians(tmp_path: Path) -> None:
+    split, _ = chunked(ArrayStore(tmp_path), detail_m=10.0)
+    counts = []
+    for distance in (0.0, 16.0, 26.0):
+        split.look_from(np.array([0.0, -distance, 0.0]))
+        counts.append(split.planes.shape[1] - len(split.live))
+    assert counts[0] == len(split) - len(split.live)
+    assert counts[0] > counts[1] > counts[2] > 0
+
+
+def test_a_revisit_lives_again_and_nothing_is_doubled(tmp_path: Path) -> None:
+    mapper, keyframes = started(tmp_path), street()[1]
+    for k, keyframe in enumerate(keyframes[:8]):
+        mapper.add_keyframe(keyframe, [k])
+    assert 0 not in mapper._schedule.live
+    back = Keyframe(keyframes[8].frame, keyframes[0].depth, keyframes[0].sky, keyframes[0].T_world_cam)
+    report = mapper.add_keyframe(back, [8])
+    assert 0 in mapper._schedule.live
+    assert "chunk_reopened" in {event.kind for event in report.events}
+    anchors = mapper._map.live.keyframes.tolist()
+    assert len(anchors) == len(set(anchors))
+    mapper.finish()
+
+
+def test_a_damaged_chunk_is_told_and_the_rest_goes_on(tmp_path: Path) -> None:
+    mapper = mapped(tmp_path, chunk_memory_mb=0.0)
+    before = mapper.gaussians
+    block = next(iter(mapper._map._blocks.values()))
+    (file,) = tmp_path.glob(f"{block.name}*")
+    file.write_bytes(file.read_bytes()[:-40])
+    views = [PinholeView.of(street()[0].camera, T) for T in poses().T_world_cam]
+    with pytest.raises(CannotRenderError, match=f"keyframes {block.keyframes[0]} to"):
+        mapper.render_frame(block.keyframes[0], False, views[block.keyframes[0]])
+    far = poses().T_world_cam[8].copy()
+    far[:3, 3] += 100.0
+    mapper.render_frame(8, False, PinholeView.of(street()[0].camera, far))
+    mapper.save(tmp_path / "map.ply")
+    assert mapper.gaussians == before - block.gaussians
+
+
+def test_a_full_disk_keeps_the_map_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise BenchError("Can't write: No space left on device.")
+
+    monkeypatch.setattr(ArrayStore, "put", full)
+    mapper = mapped(tmp_path)
+    assert not mapper._schedule.frozen
+    assert len(mapper._schedule.live) == FRAMES
+
+
+def test_chunks_are_closed_by_way_and_number_and_come_back_in_order() -> None:
+    def pose_of(number: int) -> np.ndarray:
+        return np.block([[np.eye(3), np.array([[0.0], [0.0], [number]])], [np.zeros((1, 3)), 1.0]])
+
+    schedule = ChunkSchedule(length_m=2.0, behind_m=4.0, most=16)
+    for number in range(8):
+        schedule.add(number, pose_of)
+    assert (schedule.waiting, schedule.open) == ([[0, 1, 2], [3, 4, 5]], [6, 7])
+    assert schedule.due(pose_of(7)[:3, 3], pose_of) == [[0, 1, 2]]
+    schedule.freeze([0, 1, 2])
+    assert schedule.live == [3, 4, 5, 6, 7]
+    assert schedule.to_reopen([1, 9]) == [[0, 1, 2]]
+    schedule.reopen([0, 1, 2])
+    assert schedule.was_frozen([0, 1, 2])
+    again = ChunkSchedule(2.0, 4.0, 16)
+    again.restore(schedule.state())
+    assert again == schedule
+    for number in range(8, 40):
+        schedule.add(number, lambda _: np.eye(4))  # standing still
+    assert max(len(chunk) for chunk in schedule.waiting) == 16 // 4 + 1
+    assert schedule.due(np.zeros(3), lambda _: np.eye(4)) == [[0, 1, 2]]
