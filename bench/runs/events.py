@@ -30,6 +30,7 @@ _IN_WORDS = {
     "pruned": "frame {frame}: {count} Gaussians pruned",
     "chunk_frozen": "frame {frame}: the map of keyframes {first} to {last} is done and on disk",
     "chunk_reopened": "frame {frame}: back at keyframes {first} to {last}, whose map learns again",
+    "passes_merged": "frame {frame}: {count} Gaussians dropped that an earlier pass of the place has, too",
     "warning": "{text}",
     "no_depth": "frame {frame}: {source} knows no depth at all",
 }

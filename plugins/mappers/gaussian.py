@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from bench.contracts.rasterizer import Rasterizer
 from bench.errors import BenchError
 from bench.gaussians.chunk_schedule import ChunkSchedule
 from bench.gaussians.chunked_map import Block, ChunkDrawing, ChunkedMap
+from bench.gaussians.duplicates import duplicates
 from bench.gaussians.keyframe_store import KeyframeStore
 from bench.gaussians.last_optimisation import LastOptimisation
 from bench.gaussians.loss_stack import LossStack
@@ -40,6 +41,9 @@ from bench.supervision.appearance import Appearance
 from bench.supervision.moving import MovingThings
 from bench.supervision.target import Target, right_target_of, target_of
 from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 log = logging.getLogger(__name__)
 
@@ -256,12 +260,38 @@ class GaussianMapper(Mapper):
     def _step_of_last(self, last: LastOptimisation) -> None:
         """One iteration of the last optimisation of some keyframes, with the second seeding at its time."""
         if last.done == last.first_fine and last.seeds:
+            self._merge_passes(last.numbers)
             self._prune()
             for number in last.numbers:
                 self._seed(number, refine=True)
         step = f"last optimisation, iteration {last.done + 1} of {last.steps}"
         number, half = last.next(self._random)
         self._iterate(number, half, step)
+
+    def _merge_passes(self, numbers: Sequence[int]) -> None:
+        """Where the camera has come back, drop Gaussians of these keyframes that an earlier pass has, too: those from
+        before the loop closed lie beside its own."""
+        live, anchor = self._map.live, self._map.live.anchor.long().cpu().numpy()
+        earlier, now = (np.isin(live.keyframes, list(each))[anchor] for each in (self._schedule.again, numbers))
+        now &= ~earlier
+        if not (earlier.any() and now.any()):
+            return
+        new = torch.from_numpy(np.flatnonzero(now)).to(live.device)
+        old = torch.from_numpy(np.flatnonzero(earlier)).to(live.device)
+        views = ((self._view(number), self._in_map(number)) for number in numbers)
+        planes = self._map.planes
+        on_disk = planes[:, len(live) :]
+        double = duplicates(torch.cat([planes[:, old], on_disk], 1), planes[:, new], views, self._rasterizer)
+        if bool(double.any()):
+            self._happened.append(("passes_merged", {"count": int(double.sum())}))
+            keep = torch.ones(len(live), dtype=torch.bool, device=live.device)
+            keep[new[double]] = False
+            live.keep(keep)
+
+    def _in_map(self, number: int) -> Tensor:
+        """A keyframe's image (3, H, W), 0 to 1, in the map's colours."""
+        image = torch.from_numpy(self._appearance.in_map(number, self._keyframes[number].frame.left))
+        return (image.to(self._map.live.device).permute(2, 0, 1) / 255.0).contiguous()
 
     def _freeze(self, chunk: Sequence[int]) -> None:
         """A chunk is done: to disk with it; where that can't be written it stays in memory."""

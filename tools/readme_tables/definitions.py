@@ -173,6 +173,32 @@ def _stereo(kept: Path, folder: Path) -> str:
     return f"{table}\n\n*[numbers]({link(file, folder)})*"
 
 
+_UNSEEN_COLUMNS = (
+    ("held-out left dB", "heldout_psnr_db", ".2f"),
+    ("right camera dB", "right_psnr_db", ".2f"),
+    ("train and held-out dB", "psnr_db", ".2f"),
+    ("Depth-L1 cm", "depth_l1_cm", ".1f"),
+)
+
+
+def _unseen(kept: Path, folder: Path) -> str:
+    """One line per row of the table of unseen views: each sequence's mean and standard deviation over the seeds."""
+    with (kept / "unseen.csv").open(newline="", encoding="utf-8") as opened:
+        rows = [row for row in csv.DictReader(opened) if row["by"] == "ours"]
+    cells = {(row["method"], row["metric"], row["sequence"]): row for row in rows}
+    sequences = list(dict.fromkeys(row["sequence"] for row in rows if row["status"] != "average"))[:2]
+    lines = []
+    for method in dict.fromkeys(row["method"] for row in rows):
+        line = [method]
+        for _, metric, form in _UNSEEN_COLUMNS:
+            of = [cells[method, metric, sequence] for sequence in sequences]
+            line.append(" / ".join(f"{float(cell['value']):{form}} ± {float(cell['std']):{form}}" for cell in of))
+        lines.append(line)
+    headings = [f"{heading}, {' / '.join(sequences)}" for heading, _, _ in _UNSEEN_COLUMNS]
+    more = f"[all notes]({link(kept / 'unseen.md', folder)}), [record]({link(kept / f'unseen{SUFFIX}', folder)})"
+    return f"{text_table(['', *headings], lines)}\n\n*seeds {rows[0]['seeds']}; {more}*"
+
+
 _MM = "`torch.mm` of 1024^3"
 _WHOLE = "whole iteration (render, L1 + SSIM + geometric loss, backward, Adam)"
 _ISOTROPIC = "100 k near-isotropic Gaussians, 19.6 a pixel"
@@ -236,6 +262,7 @@ BLOCKS = {
     "circuits": Block((f"circuits{SUFFIX}",), _circuits),
     "stereo": Block(("stereo_kitti06.csv",), _stereo),
     "ablation": Block((f"ablation{SUFFIX}",), _of_table("ablation")),
+    "unseen": Block((f"unseen{SUFFIX}", "unseen.csv"), _unseen),
     "readings": Block((f"readings{SUFFIX}",), _of_table("readings")),
     "backbones": Block((f"backbones{SUFFIX}",), _of_table("backbones")),
     "dialects": Block((f"dialects{SUFFIX}",), _of_table("dialects")),
