@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -23,7 +22,6 @@ from bench.errors import BenchError
 from bench.gaussians.chunk_schedule import ChunkSchedule
 from bench.gaussians.chunked_map import Block, ChunkDrawing, ChunkedMap
 from bench.gaussians.duplicates import duplicates
-from bench.gaussians.keyframe_store import KeyframeStore
 from bench.gaussians.last_optimisation import LastOptimisation
 from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.map import GaussianMap
@@ -32,6 +30,7 @@ from bench.gaussians.mapping_config import GaussianMapperConfig
 from bench.gaussians.needs import map_needs
 from bench.gaussians.optimizer import LearningRates, MapOptimizer
 from bench.gaussians.pose_refinement import PoseRefinement
+from bench.gaussians.replay import Replay
 from bench.gaussians.schema import OPACITY_LOGIT
 from bench.gaussians.seeding import depth_to_seed_from, seed_gaussians
 from bench.io.array_store import ArrayStore
@@ -39,7 +38,6 @@ from bench.registry import register
 from bench.runs.memory import MemoryBudget
 from bench.supervision.appearance import Appearance
 from bench.supervision.moving import MovingThings
-from bench.supervision.target import Target, right_target_of, target_of
 from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
 
 if TYPE_CHECKING:
@@ -72,14 +70,11 @@ class GaussianMapper(Mapper):
         self._last: LastOptimisation | None = None
         self._lost_told = 0
         self._room = True  # on disk, for what is left behind
-        self._seen_trajectory: Trajectory | None = None
-        self._folder = TemporaryDirectory(prefix="bgs-map-")  # a run gives a store in its own folder
-        self.use_store(ArrayStore(Path(self._folder.name)))
-        self._views: dict[tuple[int, bool], PinholeView] = {}
-        self._targets: OrderedDict[tuple[int, bool], tuple[Target, Target]] = OrderedDict()
         self._appearance = Appearance(camera, c.camera_color, c.exposure)
         self._refinement = PoseRefinement(c.pose_refinement)
         self._moving = MovingThings(camera) if c.moving else None
+        self._folder = TemporaryDirectory(prefix="bgs-map-")  # a run gives a store in its own folder
+        self.use_store(ArrayStore(Path(self._folder.name)))
         self._happened: list[tuple[str, dict[str, Any]]] = []
 
     def use_store(self, store: ArrayStore) -> None:
@@ -87,8 +82,10 @@ class GaussianMapper(Mapper):
         follow = (c.follow_corrections_m, c.follow_corrections_deg)
         drawing = ChunkDrawing(c.far_m, c.detail_m, self._camera.fx, *follow, c.chunk_memory_mb * 1e6)
         live = GaussianMap(c.sh_degree, self._rasterizer.device)
-        self._store, self._keyframes = store, KeyframeStore(store)
-        self._map = ChunkedMap(live, store, drawing)
+        self._store, self._map = store, ChunkedMap(live, store, drawing)
+        moving, correct = self._moving, self._refinement.corrected
+        ignored = (lambda _: None) if moving is None else moving.mask
+        self._replay = Replay(self._camera, c, store, correct, ignored, live.device)
 
     def use_memory_budget(self, budget: MemoryBudget) -> None:
         self._map.budget = budget
@@ -103,13 +100,13 @@ class GaussianMapper(Mapper):
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
         number = keyframe.frame.number
-        self._keyframes.add(self._to_keep(keyframe))
+        self._replay.keyframes.add(self._to_keep(keyframe))
         self._appearance.camera_colors.learn(keyframe)
         self._refinement.add(number)
         self._come_to(number)
         if self._moving is not None:
             for changed in self._moving.add(keyframe):
-                self._targets.pop((changed, False), None)
+                self._replay.forget_target(changed)
         self._settle(number)
         self._seed(number)
         coarse = round(self.config.iterations * self.config.coarse_share)
@@ -124,10 +121,7 @@ class GaussianMapper(Mapper):
         return MappingReport(psnr_db, values, events)
 
     def update_poses(self, trajectory: Trajectory) -> None:
-        for row in self._corrected(trajectory):
-            number = int(trajectory.numbers[row])
-            self._keyframes.set_pose(number, trajectory.T_world_cam[row])
-            self._forget_views(number)
+        self._replay.follow(trajectory)
         motion = self._map.follow(trajectory)
         if motion.keyframes:
             self._happened.append(("map_moved", asdict(motion)))
@@ -140,7 +134,7 @@ class GaussianMapper(Mapper):
         live = self._schedule.live
         if not live:
             return
-        self._map.look_from(self._keyframes.pose(live[-1])[:3, 3])
+        self._map.look_from(self._replay.place(live[-1]))
         if self._last is not None and not self._last.of_rest:
             while not self._last.over:
                 self._step_of_last(self._last)
@@ -157,7 +151,7 @@ class GaussianMapper(Mapper):
         yield self._events(live[-1])
 
     def state(self) -> dict[str, Any]:
-        of_map, of_keyframes = self._map.state(), self._keyframes.state()
+        of_map, of_keyframes = self._map.state(), self._replay.state()
         return {
             "map": of_map,
             "keyframes": of_keyframes,
@@ -176,7 +170,7 @@ class GaussianMapper(Mapper):
             for keyframe in keyframes:
                 self._moving.add(keyframe)
         self._store.discard(state["stored"])
-        self._keyframes.restore(state["keyframes"])
+        self._replay.restore(state["keyframes"])
         self._schedule.restore(state["schedule"])
         self._last = None if state["last"] is None else LastOptimisation(**state["last"])
         self._appearance.restore(state["appearance"])
@@ -186,7 +180,7 @@ class GaussianMapper(Mapper):
         self._optimizer.steps = state["optimizer_steps"]
         self._random.bit_generator.state = json.loads(state["random"])
         if self._schedule.live:
-            self._map.look_from(self._keyframes.pose(self._schedule.live[-1])[:3, 3])
+            self._map.look_from(self._replay.place(self._schedule.live[-1]))
 
     def render(self, view: PinholeView, depth: Map | None = None) -> RenderedView:
         self._look_from(view)
@@ -224,8 +218,8 @@ class GaussianMapper(Mapper):
 
     def _come_to(self, number: int) -> None:
         """A new keyframe is there: what was left behind near its place lives again."""
-        self._schedule.add(number, self._keyframes.pose)
-        place = self._keyframes.pose(number)[:3, 3]
+        self._schedule.add(number, self._replay.keyframes.pose)
+        place = self._replay.place(number)
         for chunk in self._schedule.to_reopen(self._map.keyframes_within(place, self.config.revisit_m)):
             self._map.reopen(chunk)
             self._schedule.reopen(chunk)
@@ -236,7 +230,7 @@ class GaussianMapper(Mapper):
         """Go on with the last optimisation of what the camera has left behind, by as much as a keyframe brings."""
         if not self._room:
             return
-        due = self._schedule.due(self._keyframes.pose(number)[:3, 3], self._keyframes.pose)
+        due = self._schedule.due(self._replay.place(number), self._replay.keyframes.pose)
         if self._last is None and due:
             self._last = self._last_optimisation(due[0])
         if self._last is None:
@@ -249,7 +243,7 @@ class GaussianMapper(Mapper):
         if self._last.over:
             self._freeze(self._last.numbers)
             self._last = None
-            self._map.look_from(self._keyframes.pose(number)[:3, 3])
+            self._map.look_from(self._replay.place(number))
 
     def _last_optimisation(self, numbers: Sequence[int], of_rest: bool = False) -> LastOptimisation:
         c = self.config
@@ -278,7 +272,8 @@ class GaussianMapper(Mapper):
             return
         new = torch.from_numpy(np.flatnonzero(now)).to(live.device)
         old = torch.from_numpy(np.flatnonzero(earlier)).to(live.device)
-        views = ((self._view(number), self._in_map(number)) for number in numbers)
+        passing = [number for number in numbers if number not in self._schedule.again]
+        views = ((self._replay.view(number), self._in_map(number)) for number in passing)
         planes = self._map.planes
         on_disk = planes[:, len(live) :]
         double = duplicates(torch.cat([planes[:, old], on_disk], 1), planes[:, new], views, self._rasterizer)
@@ -290,7 +285,7 @@ class GaussianMapper(Mapper):
 
     def _in_map(self, number: int) -> Tensor:
         """A keyframe's image (3, H, W), 0 to 1, in the map's colours."""
-        image = torch.from_numpy(self._appearance.in_map(number, self._keyframes[number].frame.left))
+        image = torch.from_numpy(self._appearance.in_map(number, self._replay.keyframes[number].frame.left))
         return (image.to(self._map.live.device).permute(2, 0, 1) / 255.0).contiguous()
 
     def _freeze(self, chunk: Sequence[int]) -> None:
@@ -299,7 +294,7 @@ class GaussianMapper(Mapper):
         self._require_finite(f"after the last optimisation of keyframes {chunk[0]} to {chunk[-1]}")
         try:
             for number in chunk:
-                self._keyframes.let_go(number)
+                self._replay.let_go(number)
             self._map.freeze(chunk)
         except BenchError as error:
             log.warning("from keyframe %d on the map stays in memory: %s", chunk[0], error)
@@ -307,18 +302,6 @@ class GaussianMapper(Mapper):
             return
         self._schedule.freeze(list(chunk))
         self._happened.append(("chunk_frozen", {"first": chunk[0], "last": chunk[-1]}))
-        for number in chunk:
-            self._forget_views(number)
-            self._targets.pop((number, False), None)
-            self._targets.pop((number, True), None)
-
-    def _corrected(self, trajectory: Trajectory) -> list[int]:
-        """Rows of keyframes whose pose is another one than in the trajectory before."""
-        before, self._seen_trajectory = self._seen_trajectory, trajectory
-        changed = np.ones(len(trajectory), bool)
-        if before is not None and np.array_equal(before.numbers, trajectory.numbers[: len(before)]):
-            changed[: len(before)] = (before.T_world_cam != trajectory.T_world_cam[: len(before)]).any(axis=(1, 2))
-        return [row for row in np.flatnonzero(changed).tolist() if int(trajectory.numbers[row]) in self._keyframes]
 
     def _to_keep(self, keyframe: Keyframe) -> Keyframe:
         """What is learned from again: right images only where they are, since those of a long sequence fill memory."""
@@ -326,34 +309,6 @@ class GaussianMapper(Mapper):
             keyframe.frame.pair("mapper.right_images", "mapper.right_images=0")
             return keyframe
         return replace(keyframe, frame=replace(keyframe.frame, right=None))
-
-    def _view(self, number: int, right: bool = False) -> PinholeView:
-        """The view of a keyframe, made once per pose."""
-        if (number, right) not in self._views:
-            T_world_cam = self._refinement.corrected(number, self._keyframes.pose(number))
-            T_world_cam = T_world_cam @ self._camera.T_left_right if right else T_world_cam
-            self._views[number, right] = PinholeView.of(self._camera, T_world_cam)
-        return self._views[number, right]
-
-    def _forget_views(self, number: int) -> None:
-        self._views.pop((number, False), None)
-        self._views.pop((number, True), None)
-
-    def _target(self, number: int, half: bool, right: bool = False) -> Target:
-        """The cached target of a keyframe; the least recently used one is dropped."""
-        pair = self._targets.pop((number, right), None)
-        if pair is None:
-            view, device, c = self._view(number, right), self._map.live.device, self.config
-            if right:
-                full = right_target_of(self._keyframes[number], view, c.depth_range_m, device)
-            else:
-                ignored = None if self._moving is None else self._moving.mask(number)
-                full = target_of(self._keyframes[number], view, c.depth_range_m, device, c.color_pixels, ignored)
-            pair = (full, full.halved())
-        self._targets[number, right] = pair
-        while len(self._targets) > self.config.cached_targets:
-            self._targets.popitem(last=False)
-        return pair[int(half)]
 
     def _choose(self, newest: int, window: Sequence[int]) -> int:
         """Draw a view: the newest keyframe, one of the window, or an older one."""
@@ -374,7 +329,7 @@ class GaussianMapper(Mapper):
         """
         share = self.config.right_images if map_learns else 0.0
         right = share > 0 and bool(self._random.random() < share)
-        target, view = self._target(number, half, right), self._view(number, right)
+        target, view = self._replay.target(number, half, right), self._replay.view(number, right)
         rendered = self._rasterizer.render(self._map.planes, view.halved() if half else view)
         if not right:
             self._appearance.exposures.learn(number, rendered.color, rendered.alpha, target)
@@ -394,24 +349,24 @@ class GaussianMapper(Mapper):
         if refine:
             assert by_parameters.twist is not None
             self._refinement.step(number, by_parameters.twist)
-            self._forget_views(number)
+            self._replay.forget_view(number)
         return values
 
     def _settle(self, number: int) -> None:
         """Fit exposure and pose of a new keyframe to the map before it adds to it, where they are learned."""
         if not self.config.exposure and not self._refinement.on:
             return
-        rendered = self._rasterizer.render(self._map.planes, self._view(number).halved(), differentiable=False)
-        target = self._target(number, half=True)
+        rendered = self._rasterizer.render(self._map.planes, self._replay.view(number).halved(), differentiable=False)
+        target = self._replay.target(number, half=True)
         self._appearance.exposures.learn(number, rendered.color, rendered.alpha, target, share=1.0)
         for _ in range(_SETTLING_STEPS if self.gaussians and self._refinement.on else 0):
             self._iterate(number, True, f"settling of keyframe {number}", map_learns=False)
 
     def _seed(self, number: int, refine: bool = False) -> None:
         """Add Gaussians where the map does not explain the keyframe yet (METHOD, "seeding")."""
-        c, keyframe = self.config, self._keyframes[number]
+        c, keyframe = self.config, self._replay.keyframes[number]
         seeding = replace(c.seeding, stride=c.refine_stride, min_error=c.refine_error) if refine else c.seeding
-        view, target = self._view(number), self._target(number, half=False)
+        view, target = self._replay.view(number), self._replay.target(number, half=False)
         margin = seeding.margin_columns(view.width)
         unexplained = np.ones((view.height, view.width + 2 * margin), bool)
         if self.gaussians:
@@ -455,9 +410,9 @@ class GaussianMapper(Mapper):
         return events
 
     def _psnr(self, number: int) -> float:
-        rendered = self._rasterizer.render(self._map.planes, self._view(number), differentiable=False)
+        rendered = self._rasterizer.render(self._map.planes, self._replay.view(number), differentiable=False)
         shown = self._appearance.shown(rendered.color, number, right=False)
-        error = shown.clamp(0.0, 1.0) - self._target(number, half=False).image
+        error = shown.clamp(0.0, 1.0) - self._replay.target(number, half=False).image
         return float(-10.0 * torch.log10((error * error).mean().clamp_min(1e-10)))
 
 

@@ -156,7 +156,7 @@ def test_depth_that_is_not_sure_enough_seeds_like_unknown_depth(fill_holes: bool
     def seeds(depth: DepthMap, least: float) -> torch.Tensor:
         mapper = started(seeding=SeedingConfig(min_confidence=least, fill_holes=fill_holes))
         given = replace(keyframe, depth=depth)
-        mapper._keyframes.add(given)
+        mapper._replay.keyframes.add(given)
         mapper._seed(0)
         return mapper._map.planes
 
@@ -239,7 +239,7 @@ def test_exposure_and_pose_of_a_keyframe_are_found() -> None:
     assert np.diff(reports).min() > 0.3
     middle = np.array([0.4, 0.4, 0.4, 1])
     np.testing.assert_allclose(mappers[-1]._appearance.colors(1, right=False) @ middle, 0.5, atol=0.03)
-    left_over = se3.log(se3.inverse(keyframes[1].T_world_cam) @ mappers[-1]._view(1).T_world_cam)
+    left_over = se3.log(se3.inverse(keyframes[1].T_world_cam) @ mappers[-1]._replay.view(1).T_world_cam)
     assert np.linalg.norm(left_over[3:]) < 0.5 * 0.005
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 import torch
 
+from bench.io.array_store import ArrayStore
 from bench.supervision.moving import MovingThings
 from bench.types import DepthMap, Image, Keyframe, Map, Mask, StereoCamera, StereoFrame
 from plugins.losses.geo import GeoConfig, GeoLoss
@@ -73,19 +76,20 @@ def test_nothing_moves_in_a_standing_scene(gains: tuple[float, ...]) -> None:
     assert not np.any(masks(shots))
 
 
-def mapper_of(keyframes: list[Keyframe]) -> GaussianMapper:
+def mapper_of(keyframes: list[Keyframe], store: Path) -> GaussianMapper:
     mapper = GaussianMapper(GaussianMapperConfig("gaussian", moving=True, iterations=2, final_iterations=1))
     losses = [RgbLoss(RgbConfig("rgb")), SsimLoss(SsimConfig("ssim")), GeoLoss(GeoConfig("geo"))]
     mapper.start(CAMERA, losses, 0)
+    mapper.use_store(ArrayStore(store))
     for k, keyframe in enumerate(keyframes):
         mapper.add_keyframe(keyframe, list(range(k + 1)))
     return mapper
 
 
-def test_the_mapper_neither_seeds_nor_learns_there_and_resumes_to_the_bit() -> None:
+def test_the_mapper_neither_seeds_nor_learns_there_and_resumes_to_the_bit(tmp_path: Path) -> None:
     keyframes = [keyframe for keyframe, _ in SLIDING]
-    whole, first = mapper_of(keyframes), mapper_of(keyframes[:4])
-    again = mapper_of([])
+    whole, first = mapper_of(keyframes, tmp_path / "whole"), mapper_of(keyframes[:4], tmp_path / "broken")
+    again = mapper_of([], tmp_path / "broken")
     again.restore(first.state(), keyframes[:4])
     again.add_keyframe(keyframes[4], list(range(5)))
     assert torch.equal(again._map.planes, whole._map.planes)
@@ -94,7 +98,7 @@ def test_the_mapper_neither_seeds_nor_learns_there_and_resumes_to_the_bit() -> N
     assert [(what, number) for what, number, _ in pictures] == [("moving", k) for k in range(5)]
     mask = pictures[2][2]
     assert mask.any()
-    target = again._target(2, half=False)
+    target = again._replay.target(2, half=False)
     assert not bool(target.depth_mask[torch.from_numpy(mask)].any())
     rendered = again._rasterizer.render(again._map.planes, target.view)
     for gradient in again._losses.evaluate(rendered, target)[1][:2]:

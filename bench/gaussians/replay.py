@@ -1,0 +1,107 @@
+"""The keyframes that mapping learns from again: their views, and what renders of these are compared with."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from bench.gaussians.keyframe_store import KeyframeStore
+from bench.gaussians.mapping_config import GaussianMapperConfig
+from bench.io.array_store import ArrayStore
+from bench.supervision.target import Target, right_target_of, target_of
+from bench.types import Float, Mask, PinholeView, StereoCamera, Trajectory
+
+Correct = Callable[[int, Float], Float]
+"""From a keyframe's number and the tracker's pose to the pose that mapping has refined."""
+
+
+class Replay:
+    """Keyframes by number, in memory or on disk; views are made once per pose, and the last targets are kept.
+
+    ``correct``: the refined pose (4, 4) of a keyframe. ``ignored``: the mask (H, W) of what its colours do not show of
+    the map, or None.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        config: GaussianMapperConfig,
+        store: ArrayStore,
+        correct: Correct,
+        ignored: Callable[[int], Mask | None],
+        device: torch.device,
+    ) -> None:
+        self.keyframes = KeyframeStore(store)
+        self._camera, self._config, self._device = camera, config, device
+        self._correct, self._ignored = correct, ignored
+        self._before: Trajectory | None = None
+        self._views: dict[tuple[int, bool], PinholeView] = {}
+        self._targets: OrderedDict[tuple[int, bool], tuple[Target, Target]] = OrderedDict()
+
+    def place(self, number: int) -> Float:
+        """Where the tracker has the camera of a keyframe now, (3,) metres."""
+        return self.keyframes.pose(number)[:3, 3]
+
+    def follow(self, trajectory: Trajectory) -> None:
+        """Take over the poses of keyframes that differ from those of the trajectory before."""
+        before, self._before = self._before, trajectory
+        changed = np.ones(len(trajectory), bool)
+        if before is not None and np.array_equal(before.numbers, trajectory.numbers[: len(before)]):
+            changed[: len(before)] = (before.T_world_cam != trajectory.T_world_cam[: len(before)]).any(axis=(1, 2))
+        for number, pose in zip(trajectory.numbers[changed].tolist(), trajectory.T_world_cam[changed], strict=True):
+            if number in self.keyframes:
+                self.keyframes.set_pose(number, pose)
+                self.forget_view(number)
+
+    def view(self, number: int, right: bool = False) -> PinholeView:
+        """The view of a keyframe's left or right camera."""
+        if (number, right) not in self._views:
+            T_world_cam = self._correct(number, self.keyframes.pose(number))
+            T_world_cam = T_world_cam @ self._camera.T_left_right if right else T_world_cam
+            self._views[number, right] = PinholeView.of(self._camera, T_world_cam)
+        return self._views[number, right]
+
+    def target(self, number: int, half: bool, right: bool = False) -> Target:
+        """The target of a keyframe at half or full resolution; of those kept the least recently used one is dropped."""
+        pair = self._targets.pop((number, right), None)
+        if pair is None:
+            keyframe, view, c = self.keyframes[number], self.view(number, right), self._config
+            if right:
+                full = right_target_of(keyframe, view, c.depth_range_m, self._device)
+            else:
+                ignored = self._ignored(number)
+                full = target_of(keyframe, view, c.depth_range_m, self._device, c.color_pixels, ignored)
+            pair = (full, full.halved())
+        self._targets[number, right] = pair
+        while len(self._targets) > self._config.cached_targets:
+            self._targets.popitem(last=False)
+        return pair[int(half)]
+
+    def let_go(self, number: int) -> None:
+        """A keyframe goes to disk, from where it comes back when it is asked for; ``BenchError`` if it can't be
+        written."""
+        self.keyframes.let_go(number)
+        self.forget_view(number)
+        self.forget_target(number)
+
+    def forget_view(self, number: int) -> None:
+        """The view is to be made again."""
+        self._views.pop((number, False), None)
+        self._views.pop((number, True), None)
+
+    def forget_target(self, number: int) -> None:
+        """The targets are to be made again."""
+        self._targets.pop((number, False), None)
+        self._targets.pop((number, True), None)
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint; ``stored``: names in the store."""
+        return self.keyframes.state()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Resume from what ``state`` gave."""
+        self.keyframes.restore(state)
