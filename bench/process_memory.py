@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
+import time
 from pathlib import Path
 
 STATM = Path("/proc/self/statm")
 """Absent where a system does not tell what a process occupies."""
+
+_LOOK_EACH_S = 0.5
 
 _lock = threading.Lock()
 _peaks_kib: dict[int, int] = {}
@@ -52,3 +56,27 @@ def _kib(pid: int, what: str) -> int | None:
     except OSError:
         return None
     return next((int(line.split()[1]) for line in lines if line.startswith(f"{what}:")), None)
+
+
+class MemoryBudget:
+    """How much of ``limits.memory_gb`` a run has left. A part asks before it keeps in memory what it could read again
+    from disk; what it computes must not depend on the answer.
+
+    ``limit_gb`` is None where there is no limit. Asking costs nothing: the system is asked twice a second at most.
+    """
+
+    def __init__(self, limit_gb: float | None) -> None:
+        self.limit_gb = limit_gb
+        self._looked = -math.inf
+        self._occupied_gb = 0.0
+
+    def occupied_gb(self) -> float:
+        """What the run occupies, peers included, as of half a second ago or less; 0 where the system does not tell."""
+        now = time.monotonic()
+        if now - self._looked >= _LOOK_EACH_S:
+            self._looked, self._occupied_gb = now, occupied_gb() if STATM.is_file() else 0.0
+        return self._occupied_gb
+
+    def left_gb(self) -> float:
+        """What may still be taken: infinite without a limit, below 0 where it is passed already."""
+        return math.inf if self.limit_gb is None else self.limit_gb - self.occupied_gb()

@@ -11,7 +11,7 @@ from bench.contracts.loss import LossTerm
 from bench.contracts.map_view import MapView
 from bench.errors import BenchError
 from bench.io.array_store import ArrayStore
-from bench.runs.memory import MemoryBudget
+from bench.process_memory import MemoryBudget
 from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
 
 

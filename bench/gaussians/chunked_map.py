@@ -20,7 +20,7 @@ from bench.gaussians.ply import write_ply_in_parts
 from bench.gaussians.schema import LOG_SCALE, MEAN
 from bench.geometry import se3
 from bench.io.array_store import ArrayStore, DamagedError
-from bench.runs.memory import MemoryBudget
+from bench.process_memory import MemoryBudget
 from bench.types import Float, Trajectory
 
 if TYPE_CHECKING:
@@ -85,7 +85,8 @@ class ChunkedMap:
         self.live = live
         self.lost: list[Block] = []
         self.budget: MemoryBudget | None = None
-        self._store, self._drawing = store, drawing
+        self.store = store
+        self._drawing = drawing
         self._blocks: OrderedDict[str, Block] = OrderedDict()
         self._made = 0
         self._at: dict[int, int] = {}  # rows of the keyframes of blocks in the two arrays below
@@ -227,14 +228,14 @@ class ChunkedMap:
         for level in range(1, _LEVELS + 1):
             pixel_m = self._drawing.pixel_m(level)
             arrays[f"level_{level}"] = merged(part.planes, _CELL_PX * pixel_m, pixel_m).cpu().numpy()
-        self._store.put(name, arrays)
+        self.store.put(name, arrays)
         self._made += 1
         return Block(name, keyframes, len(part), tuple(offset.tolist()), radius)
 
     def _arrays_of(self, block: Block) -> dict[str, npt.NDArray[Any]] | None:
         """What the store has of a block; None, and the block is lost from then on, where its file is damaged."""
         try:
-            return self._store.get(block.name)
+            return self.store.get(block.name)
         except DamagedError as error:
             log.warning("keyframes %d to %d of the map are lost: %s", block.keyframes[0], block.keyframes[-1], error)
             self.lost.append(block)

@@ -35,12 +35,16 @@ class Replay:
         ignored: Callable[[int], Mask | None],
         device: torch.device,
     ) -> None:
-        self.keyframes = KeyframeStore(store)
+        self.use_store(store)
         self._camera, self._config, self._device = camera, config, device
         self._correct, self._ignored = correct, ignored
         self._before: Trajectory | None = None
         self._views: dict[tuple[int, bool], PinholeView] = {}
         self._targets: OrderedDict[tuple[int, bool], tuple[Target, Target]] = OrderedDict()
+
+    def use_store(self, store: ArrayStore) -> None:
+        """Where keyframes go that are let go; before the first one."""
+        self.keyframes = KeyframeStore(store)
 
     def place(self, number: int) -> Float:
         """Where the tracker has the camera of a keyframe now, (3,) metres."""

@@ -1,46 +1,18 @@
-"""Memory of a run, in GB of 1e9 bytes: its peak, and how much of its limit is left."""
+"""Peak memory of a run, in GB of 1e9 bytes."""
 
 from __future__ import annotations
 
-import math
 import resource
 import sys
-import time
 from pathlib import Path
 
 import torch
 
-from bench.process_memory import STATM, forget_peaks, occupied_gb, peers_peak_gb
+from bench.process_memory import forget_peaks, peers_peak_gb
 
 _STATUS = Path("/proc/self/status")
 # Writing 5 here sets the process's high-water mark back to what is resident now (proc(5), Linux >= 4.0).
 _CLEAR_REFS = Path("/proc/self/clear_refs")
-
-_LOOK_EACH_S = 0.5
-
-
-class MemoryBudget:
-    """How much of ``limits.memory_gb`` a run has left. A part asks before it keeps in memory what it could read again
-    from disk; what it computes must not depend on the answer.
-
-    ``limit_gb`` is None where there is no limit. Asking costs nothing: the system is asked twice a second at most.
-    """
-
-    def __init__(self, limit_gb: float | None) -> None:
-        self.limit_gb = limit_gb
-        self._looked = -math.inf
-        self._occupied_gb = 0.0
-
-    def occupied_gb(self) -> float:
-        """What the run occupies, peers included, as of half a second ago or less; 0 where the system does not tell."""
-        now = time.monotonic()
-        if now - self._looked >= _LOOK_EACH_S:
-            self._looked, self._occupied_gb = now, occupied_gb() if STATM.is_file() else 0.0
-        return self._occupied_gb
-
-    def left_gb(self) -> float:
-        """What may still be taken: infinite without a limit, below 0 where it is passed already."""
-        return math.inf if self.limit_gb is None else self.limit_gb - self.occupied_gb()
 
 
 class PeakMemory:

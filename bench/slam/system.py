@@ -18,9 +18,9 @@ from bench.contracts.stereo import DepthSource
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
 from bench.plugin_config import plugins_in
+from bench.process_memory import MemoryBudget
 from bench.protocol import Protocol
 from bench.runs.fingerprint import fingerprint
-from bench.runs.memory import MemoryBudget
 
 
 @dataclass

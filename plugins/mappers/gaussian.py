@@ -34,8 +34,8 @@ from bench.gaussians.replay import Replay
 from bench.gaussians.schema import OPACITY_LOGIT
 from bench.gaussians.seeding import depth_to_seed_from, seed_gaussians
 from bench.io.array_store import ArrayStore
+from bench.process_memory import MemoryBudget
 from bench.registry import register
-from bench.runs.memory import MemoryBudget
 from bench.supervision.appearance import Appearance
 from bench.supervision.moving import MovingThings
 from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
@@ -74,18 +74,18 @@ class GaussianMapper(Mapper):
         self._refinement = PoseRefinement(c.pose_refinement)
         self._moving = MovingThings(camera) if c.moving else None
         self._folder = TemporaryDirectory(prefix="bgs-map-")  # a run gives a store in its own folder
-        self.use_store(ArrayStore(Path(self._folder.name)))
+        store, live = ArrayStore(Path(self._folder.name)), GaussianMap(c.sh_degree, self._rasterizer.device)
+        follow = (c.follow_corrections_m, c.follow_corrections_deg)
+        drawing = ChunkDrawing(c.far_m, c.detail_m, camera.fx, *follow, c.chunk_memory_mb * 1e6)
+        self._map = ChunkedMap(live, store, drawing)
+        moving, correct = self._moving, self._refinement.corrected
+        ignored = (lambda _: None) if moving is None else moving.mask
+        self._replay = Replay(camera, c, store, correct, ignored, live.device)
         self._happened: list[tuple[str, dict[str, Any]]] = []
 
     def use_store(self, store: ArrayStore) -> None:
-        c = self.config
-        follow = (c.follow_corrections_m, c.follow_corrections_deg)
-        drawing = ChunkDrawing(c.far_m, c.detail_m, self._camera.fx, *follow, c.chunk_memory_mb * 1e6)
-        live = GaussianMap(c.sh_degree, self._rasterizer.device)
-        self._store, self._map = store, ChunkedMap(live, store, drawing)
-        moving, correct = self._moving, self._refinement.corrected
-        ignored = (lambda _: None) if moving is None else moving.mask
-        self._replay = Replay(self._camera, c, store, correct, ignored, live.device)
+        self._map.store = store
+        self._replay.use_store(store)
 
     def use_memory_budget(self, budget: MemoryBudget) -> None:
         self._map.budget = budget
@@ -169,7 +169,7 @@ class GaussianMapper(Mapper):
         if self._moving is not None:  # all others lie in the store
             for keyframe in keyframes:
                 self._moving.add(keyframe)
-        self._store.discard(state["stored"])
+        self._map.store.discard(state["stored"])
         self._replay.restore(state["keyframes"])
         self._schedule.restore(state["schedule"])
         self._last = None if state["last"] is None else LastOptimisation(**state["last"])

@@ -98,8 +98,10 @@ def test_not_a_number_is_below_any_least_value() -> None:
         require_least("here", InnerConfig(far_m=float("nan")), far_m=0)
 
 
-MAY_BE_INFINITE = {"mapper.follow_corrections_m", "mapper.follow_corrections_deg"}
-"""The map never follows then."""
+MAY_BE_INFINITE = {
+    *("mapper.follow_corrections_m", "mapper.follow_corrections_deg"),  # the map never follows then
+    *("mapper.live_m", "mapper.chunk_memory_mb"),  # all of it stays in memory
+}
 MAY_BE_NEGATIVE = {"stereo.gain", "stereo.mean"}
 """Networks that give the flow have negative disparities, and colours reach from -1 to 1."""
 

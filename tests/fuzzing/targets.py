@@ -94,7 +94,19 @@ def _scan(path: Path) -> None:
 def _snapshot(path: Path) -> None:
     checkpoints = Checkpoints(path.parents[1], "same", 0.0)
     snapshot = Snapshot(
-        [{"number": 0}], {"planes": torch.zeros(14, 3)}, {"mapping": 1.0}, 2.0, 20.0, 0.1, torch.ones(4)
+        rows=[{"number": 0}],
+        mapper={"planes": torch.zeros(14, 3)},
+        seconds={"mapping": 1.0},
+        elapsed_s=2.0,
+        psnr_db=20.0,
+        peak_memory_gb=0.1,
+        random=torch.ones(4),
+        resumed_after=[],
+        events=[],
+        keyframe_poses=[np.eye(4)],
+        seeing={},
+        obsolete={},
+        optimised=False,
     )
     checkpoints.if_due(lambda: snapshot)
 

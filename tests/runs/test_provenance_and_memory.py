@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from bench.config import compose_run
+from bench.process_memory import MemoryBudget
 from bench.runs import provenance
-from bench.runs.memory import MemoryBudget, PeakMemory
+from bench.runs.memory import PeakMemory
 from bench.runs.provenance import collect_provenance, describe_weights
 from bench.slam.system import System
 from plugins.mappers.none import NoMapper

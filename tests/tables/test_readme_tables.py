@@ -105,7 +105,7 @@ def kept(tmp_path: Path) -> Path:
         closure = Closure(
             old=0, new=1, poses=np.zeros((9, 4, 4)), inliers=99, loops=3, known=3, moved=8, farthest_m=5.3
         )
-        closed = StereoOrb._event(cast(StereoOrb, SimpleNamespace(_keyframe_numbers=[seed, 420 + seed])), closure)
+        closed = StereoOrb._event(cast(StereoOrb, SimpleNamespace(_number_of=[seed, 420 + seed].__getitem__)), closure)
         write_events(run, [closed] * 2)
         provenance = {"git": {"commit": "0123456789", "dirty": True}, "machine": {"cpu": "AMD", "usable_cores": 2}}
         write_json(run / "provenance.json", provenance)
