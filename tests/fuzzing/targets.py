@@ -108,7 +108,7 @@ def _snapshot(path: Path) -> None:
         obsolete={},
         optimised=False,
     )
-    checkpoints.if_due(lambda: snapshot)
+    checkpoints.write(snapshot)
 
 
 def _vocabulary(path: Path) -> None:

@@ -76,7 +76,7 @@ def test_a_budget_says_what_is_left_and_seldom_asks_the_system(monkeypatch: pyte
     rss_kib = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS"))
     assert MemoryBudget(100.0).left_gb() == pytest.approx(100 - int(rss_kib.split()[1]) * 1024 / 1e9, abs=0.05)
     asked: list[float] = []
-    monkeypatch.setattr("bench.runs.memory.occupied_gb", lambda: (asked.append(0.0), 1.5)[1])
+    monkeypatch.setattr("bench.process_memory.occupied_gb", lambda: (asked.append(0.0), 1.5)[1])
     budget = MemoryBudget(1.0)
     assert {budget.left_gb() for _ in range(1000)} == {-0.5}
     assert len(asked) <= 2
