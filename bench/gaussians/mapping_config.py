@@ -27,6 +27,9 @@ class GaussianMapperConfig(PluginConfig):
     """Degree of the spherical harmonics of the colours, 0 (one colour from all sides) to 3."""
     iterations: int = 8
     """Rendered views when a keyframe arrives."""
+    seconds: float = 0.0
+    """With more than 0, as many iterations as this time allows when a keyframe arrives, at least one, in place of
+    ``iterations``. Results then depend on the machine, and a resumed run has other bits than an unbroken one."""
     final_coarse_iterations: int = 15
     """Rendered views per keyframe at the end, at half resolution, each keyframe in turn."""
     final_iterations: int = 8
@@ -131,7 +134,7 @@ class GaussianMapperConfig(PluginConfig):
             raise BenchError(
                 f"mapper.depth_range_m={list(self.depth_range_m)} must be [near, far] with 0 < near < far."
             )
-        ways = ("live_m", "revisit_m", "far_m", "chunk_memory_mb")
+        ways = ("live_m", "revisit_m", "far_m", "chunk_memory_mb", "seconds")
         require_least("mapper", self, live_keyframes=16, **dict.fromkeys(ways, 0))
         for name, usual in (("chunk_m", 25), ("detail_m", 40)):
             if not 0 < getattr(self, name) < np.inf:

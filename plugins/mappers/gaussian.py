@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -109,16 +110,28 @@ class GaussianMapper(Mapper):
                 self._replay.forget_target(changed)
         self._settle(number)
         self._seed(number)
-        coarse = round(self.config.iterations * self.config.coarse_share)
         values: dict[str, float] = {}
-        for iteration in range(self.config.iterations):
-            step = f"keyframe {number}, iteration {iteration + 1} of {self.config.iterations}"
-            values = self._iterate(self._choose(number, window), iteration < coarse, step) or values
+        for iteration, (half, of) in enumerate(self._iterations(), 1):
+            step = f"keyframe {number}, iteration {iteration} of {of}"
+            values = self._iterate(self._choose(number, window), half, step) or values
         self._require_finite(f"after the iterations of keyframe {number}")
         self._leave_behind(number)
         self._prune()
         psnr_db, events = self._psnr(number), self._events(number)
         return MappingReport(psnr_db, values, events)
+
+    def _iterations(self) -> Iterator[tuple[bool, str]]:
+        """The iterations of a new keyframe, by number or by time: whether each is at half resolution, and of how many
+        it is one."""
+        c, begin = self.config, time.monotonic()
+        if c.seconds == 0:
+            coarse = round(c.iterations * c.coarse_share)
+            yield from ((iteration < coarse, str(c.iterations)) for iteration in range(c.iterations))
+            return
+        passed = 0.0
+        while passed < c.seconds:
+            yield passed < c.seconds * c.coarse_share, f"those of {c.seconds:g} s"
+            passed = time.monotonic() - begin
 
     def update_poses(self, trajectory: Trajectory) -> None:
         self._replay.follow(trajectory)

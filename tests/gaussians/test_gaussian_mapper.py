@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -371,3 +372,13 @@ def test_finish_and_render_without_any_keyframe() -> None:
 def test_settings_that_make_no_sense(settings: dict[str, object], text: str) -> None:
     with pytest.raises(BenchError, match=text):
         GaussianMapper(GaussianMapperConfig("gaussian", **settings))  # type: ignore[arg-type]
+
+
+def test_a_budget_in_seconds_counts_time_and_not_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a clock that goes on by half a second with each look; the first half of the time is at half resolution."""
+    clock = itertools.count(0.0, 0.5)
+    monkeypatch.setattr("plugins.mappers.gaussian.time.monotonic", lambda: next(clock))
+    mapper, halves = started(seconds=2.0, iterations=1, coarse_share=0.5), []
+    monkeypatch.setattr(mapper, "_iterate", lambda number, half, step: halves.append(half) or {})
+    mapper.add_keyframe(street()[1][0], [0])
+    assert halves == [True, True, False, False]
