@@ -18,7 +18,7 @@ class ChunkSchedule:
 
     ``again``: live keyframes that have been frozen before. ``length_m``: way of the camera in a chunk. ``behind_m``:
     how far the camera is from all of a chunk that is due; the oldest one is due, too, with more than ``most`` live
-    keyframes.
+    keyframes. With an infinite ``behind_m`` none ever is.
     """
 
     length_m: float
@@ -44,6 +44,8 @@ class ChunkSchedule:
 
     def due(self, place: Float, pose_of: Callable[[int], Float]) -> list[list[int]]:
         """The waiting chunks whose last optimisation is due, with the camera at ``place`` (3,), the oldest first."""
+        if not np.isfinite(self.behind_m):
+            return []
         crowded = len(self.live) > self.most
         return [
             chunk

@@ -220,7 +220,8 @@ class GaussianMapper(Mapper):
         self._map.save(path)
 
     def needs(self, frames: int) -> MapNeeds:
-        return map_needs(self._camera.width * self._camera.height, frames, self.config.sh_degree)
+        c = self.config
+        return map_needs(self._camera.width * self._camera.height, frames, c.sh_degree, c.live_m)
 
     def _look_from(self, view: PinholeView) -> None:
         """Have what a view needs; raises ``CannotRenderError`` where a part of that is lost."""
@@ -232,12 +233,23 @@ class GaussianMapper(Mapper):
     def _come_to(self, number: int) -> None:
         """A new keyframe is there: what was left behind near its place lives again."""
         self._schedule.add(number, self._replay.keyframes.pose)
+        live, most = self._schedule.live, self.config.live_keyframes
+        if len(live) > most and self._room:
+            self._page(live[-most - 1])
         place = self._replay.place(number)
         for chunk in self._schedule.to_reopen(self._map.keyframes_within(place, self.config.revisit_m)):
             self._map.reopen(chunk)
             self._schedule.reopen(chunk)
             self._happened.append(("chunk_reopened", {"first": chunk[0], "last": chunk[-1]}))
         self._map.look_from(place)
+
+    def _page(self, number: int) -> None:
+        """The images of a keyframe go to disk, from where they are learned again; if they can't, they stay."""
+        try:
+            self._replay.let_go(number)
+        except BenchError as error:
+            log.warning("from keyframe %d on images stay in memory: %s", number, error)
+            self._room = False
 
     def _leave_behind(self, number: int) -> None:
         """Go on with the last optimisation of what the camera has left behind, by as much as a keyframe brings."""

@@ -76,12 +76,21 @@ def test_the_same_bits_whatever_stays_in_memory(tmp_path: Path) -> None:
     assert results(paged, tmp_path / "a.ply") == results(held, tmp_path / "b.ply")
 
 
-def test_resumed_to_the_bit_at_each_keyframe(tmp_path: Path) -> None:
-    whole, broken = mapped(tmp_path / "whole"), started(tmp_path / "broken")
+def test_the_same_bits_wherever_the_images_of_a_whole_map_are(tmp_path: Path) -> None:
+    paged, held = (mapped(tmp_path / f"{n}", live_m=np.inf, live_keyframes=n) for n in (4, 200))
+    assert (paged._replay.keyframes.in_memory, held._replay.keyframes.in_memory) == (FRAMES, FRAMES)
+    assert len(ArrayStore(tmp_path / "4").names()) == FRAMES - 4
+    assert not ArrayStore(tmp_path / "200").names()
+    assert results(paged, tmp_path / "a.ply") == results(held, tmp_path / "b.ply")
+
+
+@pytest.mark.parametrize("settings", [{}, {"live_m": np.inf, "live_keyframes": 4}], ids=["chunks", "whole map"])
+def test_resumed_to_the_bit_at_each_keyframe(tmp_path: Path, settings: dict[str, float]) -> None:
+    whole, broken = mapped(tmp_path / "whole", **settings), started(tmp_path / "broken", **settings)
     for k, keyframe in enumerate(street()[1]):
         broken.add_keyframe(keyframe, [k])
         torch.save(broken.state(), tmp_path / "state.pt")
-        broken = started(tmp_path / "broken")
+        broken = started(tmp_path / "broken", **settings)
         broken.restore(torch.load(tmp_path / "state.pt", weights_only=True), iter(()))
     broken.finish()
     assert results(broken, tmp_path / "a.ply") == results(whole, tmp_path / "b.ply")
