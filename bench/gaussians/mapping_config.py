@@ -67,7 +67,7 @@ class GaussianMapperConfig(PluginConfig):
     live_m: float = field(default=float("inf"), metadata={"infinite": True})
     """With a distance here the map is made in chunks: one gets its last iterations when the camera is so many metres
     away from it (usual: 50), and goes to disk, so that memory and time per frame do not grow with the way. On straight
-    roads this costs 0.3 dB; where the way winds, the sky of one chunk hangs in the views of another, and it costs many.
+    roads the views are as good; where the way winds, the sky of one chunk hangs in the views of another.
     inf: the whole map stays in memory, and all of it is optimised at the end."""
     chunk_m: float = 25.0
     """Metres of the camera's way in a chunk."""
