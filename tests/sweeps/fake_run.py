@@ -54,6 +54,7 @@ def main(job_file: Path) -> None:
         until = time.monotonic() + 30
         while (control / "gpus.txt").read_text().count("begins") < 2 and time.monotonic() < until:
             time.sleep(0.02)
+        time.sleep(1.0)  # for the sweep to say that it has begun
         note_gpu("ends")
     if behaviour == "segv":
         os.kill(os.getpid(), signal.SIGSEGV)
