@@ -104,15 +104,17 @@ class PinholeView:
 @dataclass(frozen=True)
 class StereoFrame:
     """One rectified pair, or a left image alone (``right`` None: RGB-D). ``number`` is the frame's number in its data
-    set, ``timestamp`` is in seconds."""
+    set, ``timestamp`` is in seconds. ``depth`` of the left image: once it has been
+    computed, which is before tracking for a tracker that ``uses_depth``."""
 
     number: int
     timestamp: float
     left: Image
     right: Image | None = None
+    depth: DepthMap | None = None
 
     def checksum(self) -> int:
-        """CRC-32 of both images' pixels: tells whether a file was changed, not who did it."""
+        """CRC-32 of both images' pixels, without the depth: tells whether a file was changed, not who did it."""
         left = zlib.crc32(np.ascontiguousarray(self.left).data)
         return left if self.right is None else zlib.crc32(np.ascontiguousarray(self.right).data, left)
 

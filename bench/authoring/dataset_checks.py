@@ -195,7 +195,7 @@ def _ground_truth(subject: Subject) -> str | Note:
 def _depth(subject: Subject) -> str | Note:
     dataset, camera = subject.dataset, subject.dataset.camera_of(subject.sampled[0])
     texts = []
-    for method, unit in (("lidar_depth", "m"), ("true_depth", "m"), ("true_disparity", "px")):
+    for method, unit in (("lidar_depth", "m"), ("sensor_depth", "m"), ("true_depth", "m"), ("true_disparity", "px")):
         depth = getattr(dataset, method)(subject.sampled[0])
         if depth is None:
             continue
@@ -212,7 +212,7 @@ def _depth(subject: Subject) -> str | Note:
     sky = dataset.true_sky(subject.sampled[0])
     if sky is not None:
         probes.require_array(sky, (camera.height, camera.width), np.bool_, "true_sky")
-    return "; ".join(texts) if texts else Note("neither LiDAR nor true depth: runs have no Depth-L1")
+    return "; ".join(texts) if texts else Note("neither LiDAR nor sensor nor true depth: runs have no Depth-L1")
 
 
 def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from bench.authoring.shown_map import ShownMap
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.evaluation.trajectory import absolute_trajectory_error
 from bench.io.array_store import ArrayStore
-from bench.types import StereoFrame, TrackingResult, Trajectory
+from bench.types import DepthMap, StereoFrame, TrackingResult, Trajectory
 
 FRAMES = 8
 _STATES = ("ok", "weak", "lost")
@@ -46,7 +46,18 @@ class Subject:
 
     @cached_property
     def frames(self) -> list[StereoFrame]:
-        return [self.dataset.frame(position) for position in range(min(FRAMES, len(self.dataset)))]
+        frames = [self.dataset.frame(position) for position in range(min(FRAMES, len(self.dataset)))]
+        return self._with_depth(frames) if self.candidate.build().uses_depth else frames
+
+    def _with_depth(self, frames: list[StereoFrame]) -> list[StereoFrame]:
+        """The depth of the run's stereo plugin for each; where the data set knows it exactly, that."""
+        if self.dataset.true_depth(0) is not None:
+            depths = [DepthMap(self.dataset.true_depth(k), "truth") for k in range(len(frames))]
+        else:
+            stereo = self.candidate.other("stereo")
+            stereo.start(self.dataset)
+            depths = [stereo.depth(frame, k, self.dataset.camera) for k, frame in enumerate(frames)]
+        return [replace(frame, depth=depth) for frame, depth in zip(frames, depths, strict=True)]
 
     @cached_property
     def drive(self) -> Drive:
@@ -171,10 +182,13 @@ def _inputs(subject: Subject) -> str:
     tracker, _ = subject.started()
     for frame in subject.frames[:2]:
         left, right = frame.left.copy(), None if frame.right is None else frame.right.copy()
-        tracker.track(StereoFrame(frame.number, frame.timestamp, left, right))
+        depth = None if frame.depth is None else replace(frame.depth, depth=frame.depth.depth.copy())
+        tracker.track(StereoFrame(frame.number, frame.timestamp, left, right, depth))
         probes.require_untouched("the input left", frame.left, left, "track")
         if right is not None:
             probes.require_untouched("the input right", frame.right, right, "track")
+        if frame.depth is not None and depth is not None:
+            probes.require_untouched("the input depth", frame.depth.depth, depth.depth, "track")
     return "left as they were"
 
 

@@ -35,9 +35,10 @@ log = logging.getLogger(__name__)
 def cached_tracker(tracker: Tracker, config: PluginConfig, dataset: Mapping[str, Any], cache: CacheConfig) -> Tracker:
     """``tracker`` behind the cache, or itself where sharing is switched off (``cache.all``) or it is not worth it.
 
-    ``dataset`` is the data set's part of the run's config. What a tracker says that looks at the map is never shared.
+    ``dataset`` is the data set's part of the run's config. What a tracker says that looks at the map or at depth is
+    never shared.
     """
-    if not (cache.enabled and cache.all and tracker.worth_caching) or tracker.uses_map:
+    if not (cache.enabled and cache.all and tracker.worth_caching) or tracker.uses_map or tracker.uses_depth:
         return tracker
     return CachedTracker(tracker, config, dataset, CacheStore(Path(cache.folder), cache.limit_gb * 1e9))
 

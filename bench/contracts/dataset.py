@@ -26,7 +26,7 @@ class Dataset(ABC):
     is_sequence: bool = True
     """False for a collection of single pairs: neighbours are of different scenes, and may have cameras of their own."""
     has_right: bool = True
-    """False for frames without a right image (RGB-D): their depth then comes from a plugin such as stereo=lidar, which
+    """False for frames without a right image (RGB-D): their depth then comes from a plugin such as stereo=sensor, which
     asks the data set, and the camera's baseline says nothing."""
 
     remarks: tuple[str, ...] = ()
@@ -60,6 +60,10 @@ class Dataset(ABC):
 
     def lidar_depth(self, position: int) -> Map | None:
         """LiDAR returns projected into the left image: (H, W) float32 metres, NaN where there is no return; or None."""
+        return None
+
+    def sensor_depth(self, position: int) -> Map | None:
+        """What a depth camera saw in the left image: (H, W) float32 metres, NaN where it missed; or None."""
         return None
 
     def true_depth(self, position: int) -> Map | None:

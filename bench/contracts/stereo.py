@@ -12,7 +12,7 @@ from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.types import DepthMap, Image, Map, StereoCamera, StereoFrame
 
-_INSTEAD = "a stereo plugin that takes depth from the data set, such as stereo=lidar"
+_INSTEAD = "a stereo plugin that takes depth from the data set, such as stereo=sensor or stereo=lidar"
 
 
 class DepthSource(ABC):

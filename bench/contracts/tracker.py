@@ -16,10 +16,12 @@ class Tracker(ABC):
 
     worth_caching: bool = False
     """Whether its answers may be shared between runs with the same frames and settings, and cost more than reading
-    them: True for a tracker that looks at images and always says the same about them. One that ``uses_map`` never is
-    shared."""
+    them: True for a tracker that looks at images and always says the same about them. One that ``uses_map`` or
+    ``uses_depth`` never is shared."""
     uses_map: bool = False
     """True for a tracker that looks at the map: it gets ``use_map``, and the run goes in step, one frame at a time."""
+    uses_depth: bool = False
+    """True for a tracker that looks at depth: every frame comes with its ``depth``, from the ``stereo=`` of the run."""
 
     @abstractmethod
     def start(self, dataset: Dataset) -> None:

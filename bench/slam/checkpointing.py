@@ -22,7 +22,7 @@ from bench.io.torch_files import from_state, to_state
 from bench.runs.checkpoint import Checkpoints, Snapshot
 from bench.runs.folder import CHECKSUM_COLUMN
 from bench.runs.memory import PeakMemory
-from bench.slam.front_end import Seen, keyframe_of
+from bench.slam.front_end import Seen, keyframe_of, with_depth
 from bench.slam.progress import Progress
 from bench.slam.system import System
 from bench.tracking.pair_check import PairCheck
@@ -48,8 +48,9 @@ class CannotResumeError(Exception):
 class Tracked(Tracker):
     """In place of a tracker all of whose frames are done: what is left of it is the trajectory."""
 
-    def __init__(self, trajectory: Trajectory) -> None:
+    def __init__(self, trajectory: Trajectory, uses_depth: bool) -> None:
         self._trajectory = trajectory
+        self.uses_depth = uses_depth
 
     def start(self, dataset: Dataset) -> None:
         """Nothing is left to begin."""
@@ -121,7 +122,8 @@ def restore(system: System, snapshot: Snapshot, check: PairCheck, each: Callable
     try:
         if "trajectory" in snapshot.seeing:
             system.tracker.finish()
-            system.tracker = Tracked(Trajectory(**from_state(snapshot.seeing["trajectory"])))
+            uses_depth = system.tracker.uses_depth
+            system.tracker = Tracked(Trajectory(**from_state(snapshot.seeing["trajectory"])), uses_depth)
         else:
             system.tracker.restore(snapshot.seeing["tracker"])
             system.keyframer.restore(snapshot.seeing["keyframer"])
@@ -150,10 +152,16 @@ def repeat(system: System, snapshot: Snapshot, stream: Iterator[Seen], each: Cal
 def _seen_again(system: System, snapshot: Snapshot, each: Callable[[int], None]) -> Iterator[Keyframe]:
     """The keyframes until the break, with depth and sky computed again and the poses that they had when they came."""
     poses = iter(snapshot.keyframe_poses)
+    every_depth = system.tracker.uses_depth and system.stereo.temporal
     for position, row in enumerate(snapshot.rows):
         each(position + 1)
+        if not (row["mapped"] or every_depth):
+            continue
+        frame = system.dataset.frame(position)
+        if every_depth:
+            frame = with_depth(system, position, frame)[0]
         if row["mapped"]:
-            yield keyframe_of(system, position, system.dataset.frame(position), next(poses))[0]
+            yield keyframe_of(system, position, frame, next(poses))[0]
 
 
 def _repeated(rows: list[dict[str, Any]], stream: Iterator[Seen], each: Callable[[int], None]) -> Iterator[Keyframe]:

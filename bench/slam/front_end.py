@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench.cache import cost_of
+from bench.cache.cost import Cost
 from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
 from bench.runs.events import check_events
@@ -54,6 +55,9 @@ def _frames(system: System, check: PairCheck, first: int) -> Generator[Seen, Non
         doubts.append(check.look(position, frame))
         told = tuple(Event("warning", frame.number, {"text": text}) for text in doubts if text is not None)
         doubts = []
+        depth_cost = Cost(0.0, cached=False)
+        if system.tracker.uses_depth:
+            frame, depth_cost = with_depth(system, position, frame)
         start = time.perf_counter()
         tracking = _checked(system.tracker.track(frame), frame, system.tracker)
         cost = cost_of(system.tracker, time.perf_counter() - start)
@@ -69,8 +73,8 @@ def _frames(system: System, check: PairCheck, first: int) -> Generator[Seen, Non
             CHECKSUM_COLUMN: checksum,
             "tracking_s": cost.seconds,
             "tracking_cached": cost.cached,
-            "stereo_s": 0.0,
-            "stereo_cached": False,
+            "stereo_s": depth_cost.seconds,
+            "stereo_cached": depth_cost.cached,
         }
         events = (*told, *tracking.events)
         if tracking.state == "lost" or row["heldout"]:
@@ -85,23 +89,33 @@ def _frames(system: System, check: PairCheck, first: int) -> Generator[Seen, Non
         trajectory = system.tracker.trajectory()
         pose = trajectory.pose_of(frame.number)
         assert pose is not None
-        keyframe, row["stereo_s"], row["stereo_cached"] = keyframe_of(system, position, frame, pose)
+        keyframe, cost = keyframe_of(system, position, frame, pose)
+        row["stereo_s"] += cost.seconds
+        row["stereo_cached"] |= cost.cached
         if not keyframe.depth.known.any():
             events = (*events, Event("no_depth", frame.number, {"source": keyframe.depth.source}))
         yield Seen(row, events, keyframe, decision.window, trajectory)
 
 
-def keyframe_of(system: System, position: int, frame: StereoFrame, T_world_cam: Float) -> tuple[Keyframe, float, bool]:
-    """The frame with its depth and sky; the seconds that these took, and whether the cache had one of them."""
-    camera = system.dataset.camera
+def keyframe_of(system: System, position: int, frame: StereoFrame, T_world_cam: Float) -> tuple[Keyframe, Cost]:
+    """The frame with its sky, and its depth unless it has that already; and what these two took."""
+    depth_cost = Cost(0.0, cached=False)
+    if frame.depth is None:
+        frame, depth_cost = with_depth(system, position, frame)
+    depth = frame.depth
+    assert depth is not None
     start = time.perf_counter()
-    depth = system.stereo.depth(frame, position, camera)
-    depth_cost = cost_of(system.stereo, time.perf_counter() - start)
-    start = time.perf_counter()
-    sky = system.sky.segment(frame.left, depth, camera)
+    sky = system.sky.segment(frame.left, depth, system.dataset.camera)
     sky_cost = cost_of(system.sky, time.perf_counter() - start)
-    cost = depth_cost.seconds + sky_cost.seconds
-    return Keyframe(frame, depth, sky, T_world_cam), cost, depth_cost.cached or sky_cost.cached
+    cost = Cost(depth_cost.seconds + sky_cost.seconds, depth_cost.cached or sky_cost.cached)
+    return Keyframe(frame, depth, sky, T_world_cam), cost
+
+
+def with_depth(system: System, position: int, frame: StereoFrame) -> tuple[StereoFrame, Cost]:
+    """The frame with its ``depth``, and what computing that took."""
+    start = time.perf_counter()
+    depth = system.stereo.depth(frame, position, system.dataset.camera)
+    return replace(frame, depth=depth), cost_of(system.stereo, time.perf_counter() - start)
 
 
 def _checked(tracking: TrackingResult, frame: StereoFrame, tracker: Tracker) -> TrackingResult:

@@ -47,7 +47,8 @@ class Needs:
         pixels = camera.width * camera.height
         views = (2 if system.protocol.right_view and system.dataset.has_right else 1) * system.mapper.wants_keyframes
         mapped: MapNeeds | None = system.mapper.needs(frames)
-        cached = isinstance(system.stereo, CachedDepthSource) and system.mapper.wants_keyframes
+        wanted = system.mapper.wants_keyframes or system.tracker.uses_depth
+        cached = isinstance(system.stereo, CachedDepthSource) and wanted
         return cls(
             folder=config.output,
             frames=frames,

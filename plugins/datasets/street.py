@@ -149,6 +149,10 @@ class Street(Dataset):
         with np.errstate(divide="ignore"):
             return np.where(inverse > 0, np.float32(1.0) / inverse, np.float32(np.nan))
 
+    def sensor_depth(self, position: int) -> Map:
+        """What a depth camera without noise sees: the exact depth."""
+        return self.true_depth(position)
+
     def true_sky(self, position: int) -> Mask:
         """Exact sky at pixel centres."""
         return np.isnan(self.true_depth(position))
