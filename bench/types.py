@@ -203,6 +203,7 @@ class TrackingResult:
 
     ``T_world_cam`` is None exactly when ``state`` is "lost". ``landmarks`` are ids of the map points observed in this
     frame (int64, unique), or None from a tracker that has no features. ``reprojection_px`` is the RMS over inliers.
+    ``exposure`` (a, b): the image is exp(a) times the map's colours (0 to 1) plus b, from a tracker that estimates it.
     ``events``: what happened at this frame, in order.
     """
 
@@ -212,6 +213,7 @@ class TrackingResult:
     reprojection_px: float = float("nan")
     landmarks: npt.NDArray[np.int64] | None = None
     events: tuple[Event, ...] = ()
+    exposure: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -227,12 +229,13 @@ class KeyframeDecision:
 @dataclass(frozen=True)
 class Keyframe:
     """What the mapper gets: a frame, its stereo depth, its sky mask (True = sky, None without a segmenter), its
-    pose."""
+    pose, and ``exposure`` as in ``TrackingResult`` (not in keyframes that are made anew to resume a run)."""
 
     frame: StereoFrame
     depth: DepthMap
     sky: Mask | None
     T_world_cam: Float
+    exposure: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

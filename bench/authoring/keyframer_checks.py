@@ -44,6 +44,7 @@ class Subject:
     def started(self) -> tuple[Any, ShownMap | None]:
         """A fresh instance, and the map that it looks at; None where it does not."""
         keyframer = self.candidate.build()
+        keyframer.start(self.dataset.camera)
         if not keyframer.uses_map:
             return keyframer, None
         shown = ShownMap(self.candidate, self.dataset)
@@ -70,6 +71,7 @@ class Subject:
             if len(decisions) == break_after:
                 state = probes.through_a_file(keyframer.state())
                 keyframer = self.candidate.build()
+                keyframer.start(self.dataset.camera)
                 if shown is not None:
                     keyframer.use_map(shown.mapper.view())
                 keyframer.restore(state)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from bench.contracts.map_view import MapView
-from bench.types import KeyframeDecision, StereoFrame, TrackingResult
+from bench.types import KeyframeDecision, StereoCamera, StereoFrame, TrackingResult
 
 
 class Keyframer(ABC):
@@ -14,6 +14,9 @@ class Keyframer(ABC):
 
     uses_map: bool = False
     """True for a keyframer that looks at the map: it gets ``use_map``, and the run goes in step."""
+
+    def start(self, camera: StereoCamera) -> None:  # noqa: B027 - most rules don't ask for the camera
+        """Called once, before ``use_map`` and the first frame."""
 
     def use_map(self, view: MapView) -> None:
         """The map to look at, for one that ``uses_map``; called once, before the first frame."""
@@ -31,5 +34,5 @@ class Keyframer(ABC):
         return None
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Resume from what ``state`` gave; called after ``use_map``."""
+        """Resume from what ``state`` gave; called after ``start`` and ``use_map``."""
         raise NotImplementedError(f"{type(self).__name__} gives a state() and has no restore() to resume from it")

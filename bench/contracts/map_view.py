@@ -44,3 +44,8 @@ class MapView(ABC):
     @abstractmethod
     def median_depth(self, view: PinholeView) -> Map:
         """(H, W) float32 metres: where half of the light is gone; NaN where it never is."""
+
+    def refined_pose(self, number: int) -> Float | None:
+        """``T_world_cam`` (4, 4) that mapping has found for a keyframe, for a tracker or keyframer that wants to go on
+        from it; None (the default): it has none of its own for this frame."""
+        return None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -23,8 +25,13 @@ def as_arrays(rendered: Rendered) -> RenderedView:
 class GaussianMapView(MapView):
     """Looks at ``gaussians`` as they are when it is asked; never changes them."""
 
-    def __init__(self, gaussians: GaussianMap | ChunkedMap, rasterizer: Rasterizer) -> None:
-        self._map, self._rasterizer = gaussians, rasterizer
+    def __init__(
+        self,
+        gaussians: GaussianMap | ChunkedMap,
+        rasterizer: Rasterizer,
+        refined_pose: Callable[[int], Float | None] = lambda number: None,
+    ) -> None:
+        self._map, self._rasterizer, self._refined_pose = gaussians, rasterizer, refined_pose
 
     def render(self, view: PinholeView) -> RenderedView:
         """The map from a view, colours clamped to [0, 1]."""
@@ -39,8 +46,8 @@ class GaussianMapView(MapView):
             value = loss(*images)
         if not value.requires_grad:
             raise BenchError("The loss given to MapView.differentiate() does not depend on colour, depth or alpha.")
-        gradients = torch.autograd.grad(value, images, allow_unused=True, materialize_grads=True)
-        color, depth, alpha = (gradient.contiguous() for gradient in gradients)
+        gradients = torch.autograd.grad(value, images, allow_unused=True)
+        color, depth, alpha = (None if gradient is None else gradient.contiguous() for gradient in gradients)
         twist = self._rasterizer.backward(rendered, color, depth, alpha, pose=True).twist
         assert twist is not None
         return float(value.detach()), twist.double().cpu().numpy()
@@ -52,3 +59,7 @@ class GaussianMapView(MapView):
     def median_depth(self, view: PinholeView) -> Map:
         """(H, W) metres of the Gaussian with which half of the light is gone; NaN where it never is."""
         return self._rasterizer.observe(self._map.planes, view).median_depth.float().cpu().numpy()
+
+    def refined_pose(self, number: int) -> Float | None:
+        """The keyframe's pose as mapping has it, where mapping optimises poses."""
+        return self._refined_pose(number)

@@ -42,14 +42,14 @@ class MapOptimizer:
     second moments."""
 
     def __init__(self, rates: LearningRates, beta2: float = 0.999) -> None:
-        self._rates, self._beta2 = rates, beta2
+        self.rates, self._beta2 = rates, beta2
         self.steps = 0
 
     def step(self, gaussians: GaussianMap, gradients: Gradients) -> None:
         """One update of parameters and moments of the touched Gaussians, in place; their birth depths multiply the
         rate of the positions. Moments and birth depths have M <= N columns: Gaussians from the M-th on are frozen."""
         self.steps += 1
-        rates = self._rates.per_plane(gaussians.sh_degree)
+        rates = self.rates.per_plane(gaussians.sh_degree)
         if gaussians.device.type == "cpu":
             _native.adam_step(
                 gaussians.planes,

@@ -94,6 +94,7 @@ def _frames(system: System, check: PairCheck, first: int) -> Generator[Seen, Non
         row["stereo_cached"] |= cost.cached
         if not keyframe.depth.known.any():
             events = (*events, Event("no_depth", frame.number, {"source": keyframe.depth.source}))
+        keyframe = replace(keyframe, exposure=tracking.exposure)
         yield Seen(row, events, keyframe, decision.window, trajectory)
 
 

@@ -67,6 +67,7 @@ class System:
                 f"{config.plugin('mapper').name} offers no view of it; choose another of the two."
             )
         parts["tracker"].start(dataset)
+        parts["keyframer"].start(dataset.camera)
         parts["stereo"].start(dataset)
         for kind in looking:
             parts[kind].use_map(view)
