@@ -67,6 +67,11 @@ class SavedView(ABC):
 
     @property
     @abstractmethod
+    def sensor_depth(self) -> Map | None:
+        """Depth of the left image by a depth camera, as ``Dataset.sensor_depth``; None for right views."""
+
+    @property
+    @abstractmethod
     def true_depth(self) -> Map | None:
         """Exact depth of the left image, as ``Dataset.true_depth``; None for right views."""
 

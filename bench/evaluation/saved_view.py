@@ -56,6 +56,12 @@ class ViewOfFolder(SavedView):
             return self.run.dataset.lidar_depth(self.position) if self.camera == "left" else None
 
     @cached_property
+    def sensor_depth(self) -> Map | None:
+        """What a depth camera saw in the left image."""
+        with self.run.one_at_a_time:
+            return self.run.dataset.sensor_depth(self.position) if self.camera == "left" else None
+
+    @cached_property
     def true_depth(self) -> Map | None:
         """Exact depth of the left image."""
         with self.run.one_at_a_time:

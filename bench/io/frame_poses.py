@@ -53,7 +53,7 @@ def poses_of_images(path: Path, images: NamedFiles, times: Float | None) -> Imag
     pose_times, T = read_tum_lines(path)
     pose_times = pose_times * float(seconds_per_unit(pose_times))
     if times is not None:
-        return ImagePoses(_at_times(path, pose_times, T, times), None, ())
+        return ImagePoses(poses_at_times(path, pose_times, T, times), None, ())
     if len(T) != len(images.files):
         raise BenchError(
             f"{path} has {len(T)} poses by time for {len(images.files)} images without times. Give the images' times, "
@@ -99,8 +99,11 @@ def rows_of_images(
     )
 
 
-def _at_times(path: Path, pose_times: Float, T: Float, wanted: Float) -> Float:
-    """Poses (N, 4, 4) at the ``wanted`` times: own ones, or between two neighbours; NaN where there is none."""
+def poses_at_times(path: Path, pose_times: Float, T: Float, wanted: Float) -> Float:
+    """Poses (N, 4, 4) at the ``wanted`` times: own ones, or between two neighbours; NaN where there is none.
+
+    Raises ``BenchError``, which names the file ``path``, where that is so of all.
+    """
     known = known_poses(T)
     times, T = pose_times[known], T[known]
     place = nearest(times, wanted)

@@ -11,6 +11,7 @@ from typing import BinaryIO
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from bench.errors import BenchError
 from bench.io.foreign import open_plain, read_plain, reading
@@ -201,6 +202,17 @@ def read_rgb(path: Path, size: tuple[int, int], bits: int = _FULL_BITS) -> Image
     if image.dtype == np.uint16:
         image = image.astype(np.uint16) >> (bits - 8)
     return np.asarray(image, dtype=np.uint8)
+
+
+def read_16_bit(path: Path, size: tuple[int, int], what: str) -> npt.NDArray[np.uint16]:
+    """The stored values (H, W) of a 16-bit PNG of one channel; raises ``BenchError`` for anything else, and another
+    ``size`` (width, height). ``what`` is such a file: "KITTI stores disparities"."""
+    with reading(path, "can't be read as an image", "Copy or unpack it again."):
+        content = np.frombuffer(read_plain(path, _MOST_BYTES), np.uint8)
+        stored = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    if stored is None or stored.dtype != np.uint16 or stored.shape != size[::-1]:
+        raise BenchError(f"{path} is no 16-bit PNG of {size[0]}x{size[1]} pixels, as {what}. Unpack it again.")
+    return np.asarray(stored, np.uint16)
 
 
 def grey(image: Image) -> Image:

@@ -23,14 +23,19 @@ FARTHEST_M = 1e9
 """No camera gets so far, in any frame of the Earth's; the squares of such numbers fill a float."""
 
 
-def read_kitti_poses(path: Path | str) -> Float:
+def read_kitti_poses(path: Path | str, matrix_rows: int = 3) -> Float:
     """T_world_cam (N, 4, 4) of a KITTI pose file, one per line; NaN where a line says that the pose is unknown.
 
-    Rotations are made orthonormal (files carry 7 digits). Raises ``BenchError`` with the line for anything but twelve
-    numbers whose 3x3 block is a rotation, and for an empty line between others, as lines count frames.
+    With ``matrix_rows`` 4 each line has the whole matrix, as Replica's files do. Rotations are made orthonormal (files
+    carry 7 digits). Raises ``BenchError`` with the line for anything but twelve (sixteen) numbers whose 3x3 block is a
+    rotation, and for an empty line between others, as lines count frames.
     """
     path = Path(path)
-    table, lines = _read_table(path, 12, "12 numbers (the 3x4 pose, row by row)", lines_count=True)
+    numbers = 4 * matrix_rows
+    table, lines = _read_table(
+        path, numbers, f"{numbers} numbers (the {matrix_rows}x4 pose, row by row)", lines_count=True
+    )
+    table = table[:, :12]
     known = _known(table, table.reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9), path)
     _require_near(table[:, 3::4], lines, path)
     T = np.tile(np.eye(4), (int(known.sum()), 1, 1))

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError, require_choice
 from bench.io.frame_range import describe, parse_frame_range
-from bench.io.images import bits_in_use, image_size, read_rgb
+from bench.io.images import bits_in_use, image_size, read_16_bit, read_rgb
 from bench.io.kitti_files import parse_numbers, read_lines
 from bench.registry import PluginConfig, register
 from bench.types import Float, Map, StereoCamera, StereoFrame
@@ -86,14 +85,7 @@ class Kitti2015(Dataset):
         if not self._disparity.is_dir():
             return None
         path, camera = self._file(self._disparity, self.numbers[position]), self._cameras[position]
-        # Bytes are read here: OpenCV prints its own warnings about files that it can't open.
-        content = np.fromfile(path, dtype=np.uint8)
-        stored = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
-        if stored is None or stored.dtype != np.uint16 or stored.shape != (camera.height, camera.width):
-            raise BenchError(
-                f"{path} is no 16-bit PNG of {camera.width}x{camera.height} pixels, as KITTI stores disparities. "
-                "Unpack it again."
-            )
+        stored = read_16_bit(path, (camera.width, camera.height), "KITTI stores disparities")
         disparity = stored.astype(np.float32) / _DISPARITY_SCALE
         disparity[stored == 0] = np.nan
         return disparity

@@ -31,6 +31,7 @@ _WANDER_WAVE_M = 97.0
 # Farther ahead or behind, the lorry is left out.
 _TRUCK_SEEN_M = 200.0
 _JUMPS_PER_FRAME = 0.3
+_PAN_DEG = 15.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ class StreetConfig(PluginConfig):
     """Random seed from which the street follows; another one is another street."""
     speed_m: float = 1.0
     """Metres driven per frame."""
+    pan_deg: float = 0.0
+    """Degrees that the camera turns per frame, to and fro between 15 to the right and 15 to the left."""
     circuit_m: int = 0
     """Length in metres of a closed circuit, driven round and round, a multiple of 30; 0 is an open street."""
     repeated_facades: bool = False
@@ -70,6 +73,7 @@ class StreetConfig(PluginConfig):
                 raise BenchError(f"dataset.{what}={value} is out of range; choose {low} to {high} pixels.")
         if not 0.0 <= self.speed_m <= 20.0:
             raise BenchError(f"dataset.speed_m={self.speed_m} is out of range; choose 0 to 20 metres per frame.")
+        require_between("dataset", self, 0, 10, "pan_deg")
         if self.seed < 0:
             raise BenchError(f"dataset.seed={self.seed} is negative; choose 0 or more.")
         if not 0 <= self.truck_frames[0] <= self.truck_frames[1]:
@@ -107,6 +111,7 @@ class Street(Dataset):
             "truck": config.truck,
             "traffic": config.traffic,
             "exposure": config.exposure_jumps > 0,
+            "pan": config.pan_deg > 0,
         }
         self.label = "-".join([f"street/{config.seed}", *(name for name, used in options.items() if used)])
         self.numbers = tuple(range(config.frames))
@@ -187,13 +192,18 @@ class Street(Dataset):
         s = self._arc_length(position)
         wander, drift = self._wander(s)
         x, z, heading = self._street.path.beside(s, LANE_CENTER_M + wander)
-        heading += drift
+        heading += drift + self._pan(position)
         pitch, roll = 0.004 * np.sin(0.9 * s), 0.003 * np.sin(0.63 * s + 1.0)
         heave = 0.012 * np.sin(0.75 * s + 0.4)
         T = np.eye(4)
         T[:3, :3] = _rotation(1, heading) @ _rotation(0, pitch) @ _rotation(2, roll)
         T[:3, 3] = (x, -CAMERA_HEIGHT_M + heave, z)
         return T
+
+    def _pan(self, position: int) -> float:
+        """How far the camera is turned to the right of where the car drives, in radians; 0 in the first frame."""
+        turned = (self._config.pan_deg * position + _PAN_DEG) % (4 * _PAN_DEG)
+        return float(np.deg2rad(_PAN_DEG - abs(turned - 2 * _PAN_DEG)))
 
     def _wander(self, s: float) -> tuple[float, float]:
         """Metres to the right of the lane's middle, and how that turns the car, in radians; zero on an open street."""

@@ -1,4 +1,4 @@
-"""Depth-L1 of rendered depth against LiDAR."""
+"""Depth-L1 of rendered depth against LiDAR, or against a depth camera."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bench.registry import PluginConfig, register
 
 @register("evaluator", "depth_l1")
 class DepthL1Evaluator(ViewEvaluator):
-    """Depth-L1 against projected LiDAR in the left views, centimetres."""
+    """Depth-L1 against projected LiDAR, else sensor depth, in the left views, centimetres."""
 
     metrics = (Metric("depth_l1_cm", "Depth-L1", "cm", "lower", 1, "views.left.depth_l1_cm", "always", order=43),)
 
@@ -28,22 +28,23 @@ class DepthL1Evaluator(ViewEvaluator):
         self._run = run
 
     def view(self, view: SavedView) -> dict[str, Any] | None:
-        """Depth-L1 of a left view and of how many pixels, if it has depth and LiDAR returns in range."""
-        lidar = view.lidar
-        depth = view.depth if lidar is not None else None
-        if lidar is None or depth is None:
+        """Depth-L1 of a left view and of how many pixels, if it has depth and the data set knows some in range."""
+        protocol, reference = self._run.protocol, view.lidar
+        if reference is None:
+            reference = view.sensor_depth
+        elif protocol.depth_mask == "unoccluded":  # a depth camera sees what the other one sees, a scanner on top not
+            reference = np.where(unoccluded(reference), reference, np.float32(np.nan))
+        depth = view.depth if reference is not None else None
+        if reference is None or depth is None:
             return None
-        protocol = self._run.protocol
-        if protocol.depth_mask == "unoccluded":
-            lidar = np.where(unoccluded(lidar), lidar, np.float32(np.nan))
-        error, pixels = depth_l1_cm(depth, lidar, protocol.depth_min_m, protocol.depth_max_m)
-        return {"depth_l1_cm": error, "lidar_pixels": pixels} if pixels else None
+        error, pixels = depth_l1_cm(depth, reference, protocol.depth_min_m, protocol.depth_max_m)
+        return {"depth_l1_cm": error, "depth_pixels": pixels} if pixels else None
 
     def finish(self, scores: ViewScores) -> dict[str, Any]:
         """``views.<group>.depth_l1_cm`` of the groups of left views: mean over frames of the frame's mean error.
 
-        LiDAR is projected into the left image, so right views have none. Frames without a return in range don't enter;
-        a note says how many did when some lack it.
+        Depth is known in the left image, so right views have none. Frames without any in range don't enter; a note says
+        how many did when some lack it.
         """
         rendered = set(self._run.rendered("left", "depth"))
         for view, values in scores.items():
@@ -57,6 +58,8 @@ class DepthL1Evaluator(ViewEvaluator):
             if of_group:
                 views[group] = {"depth_l1_cm": float(np.mean(errors)) if errors else None}
         if rendered and len(scores) < len(rendered):
-            note = f"{len(scores)} of {len(rendered)} left views have LiDAR returns in range"
+            has_sensor = self._run.dataset.sensor_depth(0) is not None
+            what = "LiDAR returns or sensor depth" if has_sensor else "LiDAR returns"
+            note = f"{len(scores)} of {len(rendered)} left views have {what} in range"
             return {"views": views, "notes": {"depth_l1": note}}
         return {"views": views}

@@ -69,8 +69,8 @@ class DialectsEvaluator(ViewEvaluator):
     def finish(self, scores: ViewScores) -> dict[str, Any]:
         """``dialects.<name>`` with n_views, the means of ``METRICS`` over them, ate_m, and a stamp that says how.
 
-        The images are the saved 8-bit ones, LiDAR is the reference depth, and the rendered depth is the one that the
-        run saved. What can't be computed is None, with the reason in ``notes.dialects``.
+        The images are the saved 8-bit ones, LiDAR or else sensor depth is the reference, and the rendered depth is the
+        one that the run saved. What can't be computed is None, with the reason in ``notes.dialects``.
         """
         run, about_lpips = self._run, self._lpips.about
         weights = about_lpips.get("protocol", {})
@@ -88,7 +88,7 @@ class DialectsEvaluator(ViewEvaluator):
 
     def _stamp(self, run: SavedRun, dialect: Dialect) -> dict[str, str]:
         stamp = dict(dialect.stamp) | {"average": "mean of per-view values", "images": "8-bit left renders"}
-        stamp |= {"reference_depth": "LiDAR", "rendered_depth": run.protocol.rendered_depth}
+        stamp |= {"reference_depth": "LiDAR, else sensor depth", "rendered_depth": run.protocol.rendered_depth}
         return stamp if self.config.views == "own" else stamp | {"views": "all left views"}
 
 

@@ -59,7 +59,9 @@ class RegionsEvaluator(ViewEvaluator):
         render = view.render
         if view.camera != "left" or render is None:
             return None
-        reference = view.lidar if view.true_depth is None else view.true_depth
+        reference = view.true_depth
+        if reference is None:
+            reference = view.sensor_depth if view.lidar is None else view.lidar
         sky, depth = view.true_sky, view.depth
         bins = {} if reference is None else distance_bins(reference, self.config.edges_m)
         places: dict[str, Mask] = bins | ({} if sky is None else {"sky": sky, "not_sky": ~sky})
@@ -79,7 +81,8 @@ class RegionsEvaluator(ViewEvaluator):
     def finish(self, scores: ViewScores) -> dict[str, Any]:
         """``regions.<group>.<region>`` with n views, pixels, psnr_db and depth_l1_cm (means of per-view values).
 
-        Distance is the data set's true depth, and LiDAR where it has none; ``regions.distance`` says which. Views
+        Distance is the data set's true depth, LiDAR where it has none, sensor depth without either;
+        ``regions.distance`` says which. Views
         without a pixel in a region don't enter there. Regions that no view has are absent, with a note for the sky.
         """
         run = self._run
@@ -102,7 +105,7 @@ def _source_of_distance(run: SavedRun) -> str | None:
     if run.dataset.true_depth(0) is not None:
         return "true depth"
     has_scans = any(run.dataset.lidar_depth(position) is not None for position in range(len(run.dataset)))
-    return "LiDAR" if has_scans else None
+    return "LiDAR" if has_scans else "sensor depth" if run.dataset.sensor_depth(0) is not None else None
 
 
 def _summarised(views: Sequence[Scores]) -> dict[str, Any]:

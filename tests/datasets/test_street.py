@@ -290,3 +290,16 @@ def test_traffic_drives(position: int, nearest: float, furthest: float) -> None:
     cars = busy < np.nan_to_num(empty, nan=np.inf) - 0.1
     assert 0.02 < cars.mean() < 0.3
     assert nearest < busy[cars].min() < furthest
+
+
+def test_a_small_motion_can_be_asked_for() -> None:
+    """2 cm and half a degree a frame, to and fro within 15 degrees, whatever the car's own pitch and roll do."""
+    street = Street(StreetConfig(frames=100, width=64, height=32, speed_m=0.02, pan_deg=0.5))
+    T = street.ground_truth().T_world_cam
+    steps = np.linalg.inv(T[:-1]) @ T[1:]
+    turned = np.rad2deg(np.arccos((np.trace(steps[:, :3, :3], axis1=1, axis2=2) - 1) / 2))
+    assert np.linalg.norm(steps[:, :3, 3], axis=1) == pytest.approx(0.02, rel=0.05)
+    assert turned == pytest.approx(0.5, abs=0.01)
+    heading = np.rad2deg(np.arctan2(T[:, 0, 2], T[:, 2, 2]))
+    assert (heading.max(), heading.min()) == (pytest.approx(15, abs=0.2), pytest.approx(-15, abs=0.2))
+    np.testing.assert_array_equal(street.sensor_depth(3), street.true_depth(3))

@@ -218,7 +218,7 @@ def test_files_hold_the_same_and_no_nan(tiny_run: Path) -> None:
     table = pd.read_csv(tiny_run / "per_frame.csv").set_index(["view", "number"])
     assert len(table) == 8
     assert table.loc[("left", 11), "psnr_db"] == pytest.approx(psnr_of(2))
-    assert table.loc[("left", 10), "lidar_pixels"] == 20 * 56
+    assert table.loc[("left", 10), "depth_pixels"] == 20 * 56
 
 
 def test_evaluating_again_gives_the_same_bytes(tiny_run: Path) -> None:

@@ -24,7 +24,7 @@ def score_view(
 
     ``render`` is the view's, uint8 (H, W, 3); ``lpips`` serves masked images, whole ones have ``view.lpips``.
     """
-    image, depth, reference = view.image, view.depth, view.lidar
+    image, depth, reference = view.image, view.depth, view.sensor_depth if view.lidar is None else view.lidar
     known = None if reference is None else reference > 0
     colors = unit_range(render), unit_range(image)
     masked_lpips: float | None = None
