@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import torch
 from bench.process_memory import forget_peaks, peers_peak_gb
 
 _STATUS = Path("/proc/self/status")
+_STATM = Path("/proc/self/statm")
 # Writing 5 here sets the process's high-water mark back to what is resident now (proc(5), Linux >= 4.0).
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 
@@ -28,6 +30,16 @@ class PeakMemory:
         forget_peaks()
         if torch.cuda.is_initialized():
             torch.cuda.reset_peak_memory_stats()
+
+    @staticmethod
+    def now_gb() -> float | None:
+        """What this process occupies now, in GB: of the GPU when CUDA is in use, else resident memory; None where the
+        system does not tell."""
+        if torch.cuda.is_initialized():
+            return torch.cuda.memory_reserved() / 1e9
+        if not _STATM.is_file():
+            return None
+        return int(_STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e9
 
     def host_gb(self) -> float:
         """Peak resident memory of this process, in GB, plus the peaks of its peers."""

@@ -219,6 +219,7 @@ class _Run:
             done.keyframe_poses.append(seen.keyframe.T_world_cam.copy())
             row |= _map_keyframe(self.system, done, seen)
         row["mapping_s"] = done.seconds["mapping"] - mapping_before
+        row["memory_gb"] = self.memory.now_gb()
         done.rows.append(row)
         if seen.events:
             self.folder.warnings = done.warnings()

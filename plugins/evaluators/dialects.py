@@ -41,7 +41,7 @@ class DialectsConfig(PluginConfig):
 
 @register("evaluator", "dialects", config=DialectsConfig)
 class DialectsEvaluator(ViewEvaluator):
-    """PSNR, SSIM, LPIPS, Depth-L1 and ATE by the rules of SplaTAM, MonoGS and LoopSplat."""
+    """PSNR, SSIM, LPIPS, Depth-L1 and ATE by the rules of SplaTAM, MonoGS, Point-SLAM and LoopSplat."""
 
     metrics = tuple(
         Metric(f"{dialect.name}_{key}", f"{title} ({dialect.name})", unit, better, decimals,

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from evo.core.geometry import GeometryException, umeyama_alignment
 
-from bench.evaluation.dialects import loopsplat, monogs, splatam
+from bench.evaluation.dialects import loopsplat, monogs, point_slam, splatam
 from bench.evaluation.dialects.catalogue import DIALECTS
 from bench.evaluation.dialects.dialect import joint_psnr_db, mean_channel_psnr_db
 from bench.evaluation.ssim_flavours import Color
@@ -55,12 +55,15 @@ def test_channels_apart_or_together() -> None:
     assert math.isfinite(joint_psnr_db(exact_red, image))
 
 
-def test_psnr_of_one_frame_by_three_rules() -> None:
-    """Joint (.25 + 3 * .01) / 4 = .07; without the black pixel .01; SplaTAM (.01 + .01) / 4 = .005."""
+def test_psnr_of_one_frame_by_four_rules() -> None:
+    """Joint (.25 + 3 * .01) / 4 = .07; without the black pixel .01; SplaTAM (.01 + .01) / 4 = .005; Point-SLAM's two
+    pixels with depth .01."""
     known = REFERENCE > 0
     assert loopsplat.psnr_db(RENDER, IMAGE, known) == pytest.approx(11.5490, abs=1e-4)
     assert monogs.psnr_db(RENDER, IMAGE, known) == pytest.approx(20.0, abs=1e-5)
     assert splatam.psnr_db(RENDER, IMAGE, known) == pytest.approx(23.0103, abs=1e-4)
+    assert point_slam.psnr_db(RENDER, IMAGE, known) == pytest.approx(20.0, abs=1e-5)
+    assert math.isnan(point_slam.psnr_db(RENDER, IMAGE, known & False))
 
 
 def test_a_mask_painted_black_lifts_the_number() -> None:
@@ -179,7 +182,7 @@ def test_which_views_each_one_scores() -> None:
     positions = np.arange(12)
     mapped = np.isin(positions, [0, 4, 5, 11])
     chosen = {d.name: positions[d.scores_view(positions, mapped, 12)].tolist() for d in DIALECTS}
-    assert chosen == {"splatam": [0, 4, 9], "monogs": [10], "loopsplat": [0, 4, 5, 11]}
+    assert chosen == {"splatam": [0, 4, 9], "monogs": [10], "point_slam": [0, 5, 10], "loopsplat": [0, 4, 5, 11]}
     last = np.arange(11)
     assert last[monogs.scores_view(last, np.zeros(11, bool), 11)].tolist() == [0, 5], "10 is the last frame"
 

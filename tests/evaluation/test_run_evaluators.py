@@ -22,6 +22,7 @@ from bench.runs.folder import RunFolder, picture_path
 from bench.runs.status import read_status
 from bench.sweeps.lookup import Found, look_up
 from bench.types import StereoFrame
+from plugins.evaluators.resources import memory_growth
 from tests.evaluation.tiny_run import (
     HELD_OUT,
     LEFT_ERROR,
@@ -403,3 +404,15 @@ def test_depth_comes_back_in_metres(tiny_run: Path) -> None:
     assert np.isnan(hole).all()
     assert run.depth("left", LOST) is None
     assert run.render("right", LOST) is None
+
+
+def test_memory_that_grows_is_followed_to_48_gb() -> None:
+    """1 GB that is loaded in the first half, then 10 MB a frame: 1.4 GB after 40 frames, 48 GB after 4700."""
+    frames = pd.DataFrame({"memory_gb": [*np.linspace(0.2, 1.2, 20), *(1.21 + 0.01 * np.arange(20))]})
+    found = memory_growth(frames)
+    assert found == {"memory_growth_mb_per_frame": pytest.approx(10.0), "frames_to_48_gb": 4700}
+    unknown = {"memory_growth_mb_per_frame": None, "frames_to_48_gb": None}
+    assert memory_growth(frames[:9]) == memory_growth(pd.DataFrame({"memory_gb": ["x"] * 20})) == unknown
+    assert memory_growth(pd.DataFrame({"number": range(20)})) == unknown
+    shrinking = memory_growth(pd.DataFrame({"memory_gb": 2 - 0.01 * np.arange(20)}))
+    assert shrinking == {"memory_growth_mb_per_frame": pytest.approx(-10.0), "frames_to_48_gb": None}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from bench.config import compose_run
 from bench.errors import BenchError
 from bench.runs.config_file import NO_PART_OF_THE_RUN, write_config
-from bench.tables.named.definitions import cells
+from bench.tables.named.definitions import MethodRow, cells
 from bench.tables.named.find import named_table, table_files
 from bench.tables.named.overrides import belongs, holds, row_of
 from bench.tables.records.folder import read_folder
@@ -39,6 +40,17 @@ def test_cells_are_scored_as_the_paper_does_unless_the_user_says_otherwise() -> 
     assert compose_run(cell.overrides_with(common)).protocol.name == "paper"
     assert compose_run(cell.overrides_with([*common, "protocol=heldout"])).protocol.name == "heldout"
     assert compose_run(cell.overrides_with([*common, "protocol.holdout_every=5"])).protocol.holdout_every == 5
+
+
+def test_rows_on_part_of_a_sequence_are_so_unless_the_user_chooses_frames() -> None:
+    row = MethodRow("slow", ("system=bgs_slam",), on_part=True)
+    table = replace(named_table("main_kitti"), rows=(row,), part=("dataset.frames=0:300",))
+    cell = cells(table)[0]
+    assert "dataset.frames=0:300" in cell.overrides_with(["dataset.root=/data"])
+    assert [each for each in cell.overrides_with(["dataset.frames=0:10"]) if "frames" in each] == [
+        "dataset.frames=0:10"
+    ]
+    assert not cells(replace(table, part=()))[0].defaults[1:]
 
 
 def test_withheld_cells_say_so() -> None:

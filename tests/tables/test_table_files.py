@@ -151,6 +151,19 @@ def test_a_table_with_nothing_to_run_says_so(mine: Path, capsys: pytest.CaptureF
     assert main(["table", "invented", "--plugins", str(mine), "--format", "md"]) == 0
 
 
+def test_notes_tell_how_a_rows_runs_differ_from_the_method(mine: Path, tmp_path: Path) -> None:
+    """Three of 40 iterations are told, 70 of 60 are not; a note stands below the table where there are runs."""
+    of_row = "iterations: tracker.iterations=40 mapper.iterations=60\n    note: In colour, unlike its authors'.\n"
+    (mine / "table" / "invented.yaml").write_text(TABLE + f"    {of_row}")
+    assert not any("Ours" in note for note in make_table("invented", [], folders=[str(mine)]).notes)
+    make_run(tmp_path / "runs" / "a", 1, 18.0)
+    file = tmp_path / "runs" / "a" / "config.yaml"
+    file.write_text(file.read_text() + "tracker: {name: x, iterations: 3}\nmapper: {name: y, iterations: 70}\n")
+    notes = make_table("invented", [tmp_path / "runs"], folders=[str(mine)]).notes
+    assert "Ours, sgbm was run with fewer iterations than the method has: tracker.iterations 3 of 40." in notes
+    assert "Ours, sgbm: In colour, unlike its authors'." in notes
+
+
 def test_what_is_known_of_sequences_may_lie_beside_the_table(mine: Path, tmp_path: Path) -> None:
     head = "dataset,sequence,length_km,frames,frames_rounded_to,withheld,source\n"
     (mine / "table" / "sequences.csv").write_text(f"{head}street,north_1,0.4,900,1,,Anon\n")
@@ -181,6 +194,9 @@ def test_what_is_known_of_sequences_may_lie_beside_the_table(mine: Path, tmp_pat
         ("rows:\n", "other_rows: stere\nrows:\n", r"other_rows='stere' is not one of stereo, .* Did you mean 'stereo'"),
         ("rows:\n", "other_rows: loss\nrows:\n", r"other_rows='loss' is not one of stereo, sky, tracker"),
         ("metrics:", "columns: metrics\nmetrics:", r"where columns are metrics there is one sequence"),
+        ("    overrides", "    on_part: true\n    overrides", r"'Ours, sgbm' is on_part, and the table has no part"),
+        ("    overrides", "    on_part: 1\n    overrides", r"row 'Ours, sgbm': on_part: 1 is neither true nor false"),
+        ("    overrides", "    iterations: stereo.n=few\n    overrides", r"'stereo\.n=few' is no whole number"),
         ("title:", "title: [", r"invented\.yaml is no YAML: .*line"),
         ("about: An", "about: !!python/object/apply:os.getcwd []\nprotocol: An", r"is no YAML: could not determine"),
     ],

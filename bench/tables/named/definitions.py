@@ -24,6 +24,12 @@ class MethodRow:
     """The method's name in the published numbers."""
     compared_with: str = ""
     """The published name of another method, to which our numbers are compared."""
+    on_part: bool = False
+    """Its runs are over the ``part`` of each sequence, where the user does not choose frames."""
+    iterations: tuple[str, ...] = ()
+    """The settings that count iterations, as the method has them; where a run had fewer, the table says so."""
+    note: str = ""
+    """What a reader must know of its runs: in what they differ from the method as it was published."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,8 @@ class NamedTable:
     """Those that all rows of ours share ..."""
     never: tuple[str, ...] = ()
     """... and what none of their runs has."""
+    part: tuple[str, ...] = ()
+    """Overrides that choose a part of each sequence, for the rows that are ``on_part``."""
     facts: Mapping[str, SequenceFacts] | None = None
     """What is known of its sequences; None: nothing."""
 
@@ -97,7 +105,7 @@ def cells(table: NamedTable) -> list[Cell]:
             sequence,
             (f"dataset={table.dataset}", *chosen, *row.overrides),
             table.facts_of(sequence).withheld,
-            (f"protocol={table.protocol}",),
+            (f"protocol={table.protocol}", *(table.part if row.on_part else ())),
             f"{table.file}, row '{row.label}'",
         )
         for row in table.rows

@@ -34,9 +34,10 @@ _OF_A_TABLE = (
         "rows",
         "rows_of",
         "other_rows",
+        "part",
     ),
 )
-_OF_A_ROW = ("label", "published", "compared_with", "overrides", "never")
+_OF_A_ROW = ("label", "published", "compared_with", "overrides", "never", "on_part", "iterations", "note")
 _OF_A_METRIC = ("key", "title", "decimals", "better")
 # Kinds of which a run has one, so that a plugin can name a row.
 _NAMING_ROWS = tuple(kind for kind in RUN_KINDS if kind not in (*SEVERAL_AT_ONCE, "dataset"))
@@ -59,6 +60,9 @@ def read_table(file: Path, folders: Sequence[str] = ()) -> NamedTable:
     other_rows = rows_of.text("other_rows")
     if other_rows:
         require_choice(f"{rows_of.where}: other_rows", other_rows, _NAMING_ROWS)
+    part, rows = table.overrides("part", ("dataset",)), _rows(rows_of)
+    if not part and (whole := next((row.label for row in rows if row.on_part), "")):
+        raise BenchError(f"{file}: row '{whole}' is on_part, and the table has no part: dataset.SETTING=VALUE. Add it.")
     return NamedTable(
         name=file.stem,
         file=file,
@@ -66,10 +70,11 @@ def read_table(file: Path, folders: Sequence[str] = ()) -> NamedTable:
         dataset=table.text("dataset"),
         sequences=sequences,
         metrics=tuple(_metric(f"{file}: a metric", each, folders) for each in table.list("metrics")),
-        rows=_rows(rows_of),
+        rows=rows,
         other_rows=other_rows,
         overrides=rows_of.overrides("overrides"),
         never=rows_of.overrides("never"),
+        part=part,
         across=cast(Literal["sequences", "metrics"], across),
         about=table.text("about"),
         protocol=table.text("protocol") or "default",
@@ -201,7 +206,14 @@ def _row(table: _Part, number: int, value: Any) -> MethodRow:
     if "overrides" not in row.content:
         return MethodRow(label, published=published, compared_with=compared)
     overrides, never = ((*table.overrides(key), *row.overrides(key)) for key in ("overrides", "never"))
-    return MethodRow(label, overrides, never, published, compared)
+    on_part = row.content.get("on_part", False)
+    if not isinstance(on_part, bool):
+        raise BenchError(f"{row.where}: on_part: {on_part!r} is neither true nor false.")
+    iterations = row.overrides("iterations")
+    for each in iterations:
+        if not each.partition("=")[2].isdecimal():
+            raise BenchError(f"{row.where}: iterations: '{each}' is no whole number. Write SETTING=NUMBER.")
+    return MethodRow(label, overrides, never, published, compared, on_part, iterations, row.text("note"))
 
 
 def _seeds(table: _Part) -> tuple[int, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 
@@ -20,6 +21,7 @@ _STATED = (
     ("stereo.name", "stereo"),
     ("sky.name", "sky"),
     ("tracker.name", "tracker"),
+    ("tracker.iterations", "tracking iterations"),
     ("mapper.name", "mapper"),
     ("mapper.iterations", "iterations"),
     ("mapper.rasterizer.name", "rasterizer"),
@@ -48,6 +50,8 @@ def notes(
     found += _weak_or_lost(filled)
     found += _protocols(filled)
     found += _settings(filled)
+    found += _fewer_iterations(filled)
+    found += [f"{row.label}: {row.note}" for row in table.rows if row.note and filled.has_runs(row.label)]
     found += _external(filled)
     if different := differences(filled):
         found.append(f"Settings that differ between cells that are compared: {', '.join(different)}.")
@@ -145,6 +149,23 @@ def _settings(filled: FilledTable) -> list[str]:
         if row not in users[text]:
             users[text].append(row)
     return [f"Settings of {', '.join(rows)}: {text}." for text, rows in users.items()]
+
+
+def _fewer_iterations(filled: FilledTable) -> list[str]:
+    """Of which rows the runs had fewer iterations than their method has."""
+    found: dict[str, None] = {}
+    for row in filled.table.rows:
+        whole = dict(each.split("=", 1) for each in row.iterations)
+        for cell in (cell for (label, _), cell in filled.cells.items() if label == row.label and cell.shown):
+            had = {key: cell.settings.get(key, "") for key in whole}
+            fewer = [f"{key} {had[key]} of {whole[key]}" for key in whole if _count(had[key]) < _count(whole[key])]
+            if fewer:
+                found[f"{row.label} was run with fewer iterations than the method has: {', '.join(fewer)}."] = None
+    return list(found)
+
+
+def _count(iterations: str) -> float:
+    return int(iterations) if iterations.isdecimal() else math.inf
 
 
 def _external(filled: FilledTable) -> list[str]:
