@@ -117,9 +117,9 @@ RULES = {
     "plugins/stereo": ("plugins.trackers", "plugins.mappers", "bench.gaussians", *AFTER_MAPPING),
     "plugins/trackers": ("plugins.mappers", "bench.gaussians", *AFTER_MAPPING),
     "plugins/mappers": ("plugins.datasets", "plugins.trackers", *AFTER_MAPPING),
-    # evo is GPL and serves tests only; scipy is not one of the project's dependencies.
-    "bench": ("evo", "scipy", "tools"),
-    "plugins": ("evo", "scipy", "tools"),
+    # evo is GPL and serves tests only.
+    "bench": ("evo", "tools"),
+    "plugins": ("evo", "tools"),
 }
 
 

@@ -17,7 +17,7 @@ from bench.authoring import probes
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.io.array_store import ArrayStore
 from bench.runs.folder import OTHER_FILES
-from bench.types import DepthMap, Float, Keyframe, MappingReport, PinholeView, RenderedView, Trajectory
+from bench.types import DepthMap, Float, Keyframe, Map, MappingReport, PinholeView, RenderedView, Trajectory
 
 _KEYFRAMES = 3
 _SEED = 0
@@ -66,6 +66,10 @@ class Subject:
     def view(self, T_world_cam: Float) -> PinholeView:
         return PinholeView.of(self.dataset.camera, T_world_cam)
 
+    def depth(self, mapper: Any, k: int) -> Map | None:
+        """What a render of keyframe ``k`` is given as its depth: that of a mapper which needs it."""
+        return self.keyframes[k].depth.depth if mapper.needs_depth else None
+
     @cached_property
     def folder(self) -> tempfile.TemporaryDirectory[str]:
         """Where mappers keep what is not in memory."""
@@ -98,7 +102,7 @@ class Subject:
                 mapper = self.started(store)
                 mapper.restore(state, iter(keyframes[:k]))
         seconds = (time.perf_counter() - begin) / len(keyframes)
-        newest = mapper.render_frame(numbers[-1], False, self.view(keyframes[-1].T_world_cam))
+        newest = mapper.render_frame(numbers[-1], False, self.view(keyframes[-1].T_world_cam), self.depth(mapper, -1))
         mapper.update_poses(Trajectory(poses, np.array(numbers), times))
         mapper.finish()
         return Mapped(mapper, reports, newest, seconds)
@@ -194,12 +198,13 @@ def _honest(subject: Subject) -> str:
 
 def _renders(subject: Subject) -> str:
     mapper, pose = subject.mapped.mapper, subject.keyframes[0].T_world_cam
-    first = mapper.render(subject.view(pose))
+    depth = subject.depth(mapper, 0)
+    first = mapper.render(subject.view(pose), depth)
     _require_view(subject, first, "render() of the first keyframe")
     elsewhere = pose.copy()
     elsewhere[:3, 3] += 1000.0
-    _require_view(subject, mapper.render(subject.view(elsewhere)), "render() far away")
-    again = mapper.render(subject.view(pose))
+    _require_view(subject, mapper.render(subject.view(elsewhere), depth), "render() far away")
+    again = mapper.render(subject.view(pose), depth)
     probes.require_same(first.color, again.color, "the same view rendered twice", "render")
     return "finite, in range, also where nothing is; the same view twice: the same bits"
 
@@ -271,7 +276,8 @@ def _resumes(subject: Subject) -> str | Note:
     again = subject.map(subject.keyframes, break_after=_KEYFRAMES - 1)
     probes.require_same(subject.mapped.newest.color, again.newest.color, "with a break, and without", "restore")
     poses = [keyframe.T_world_cam for keyframe in subject.keyframes]
-    ends = [each.mapper.render(subject.view(poses[0])).color for each in (subject.mapped, again)]
+    view, mappers = subject.view(poses[0]), (subject.mapped.mapper, again.mapper)
+    ends = [mapper.render(view, subject.depth(mapper, 0)).color for mapper in mappers]
     probes.require_same(ends[0], ends[1], "after finish(), with a break and without", "restore")
     return f"a fresh instance goes on from state() after {_KEYFRAMES - 1} keyframes: the same bits"
 

@@ -9,18 +9,19 @@ from bench.errors import BenchError, require_choice
 DTYPES = ("float32", "bfloat16", "float16")
 
 
-def choose_device(setting: str) -> torch.device:
-    """The device for "auto" (CUDA where there is one), "cpu", "cuda" or "cuda:1"; raises ``BenchError``."""
+def choose_device(setting: str, where: str = "stereo.device") -> torch.device:
+    """The device for "auto" (CUDA where there is one), "cpu", "cuda" or "cuda:1"; raises ``BenchError``, calling
+    the setting ``where``."""
     cuda = torch.cuda.is_available()
     if setting == "auto":
         return torch.device("cuda" if cuda else "cpu")
     kind, _, number = setting.partition(":")
-    require_choice("stereo.device", kind, ("auto", "cpu", "cuda"))
+    require_choice(where, kind, ("auto", "cpu", "cuda"))
     if kind == "cuda" and not cuda:
-        raise BenchError(f"stereo.device={setting}: torch finds no CUDA device here. Use stereo.device=cpu or auto.")
+        raise BenchError(f"{where}={setting}: torch finds no CUDA device here. Use {where}=cpu or auto.")
     if number and not (kind == "cuda" and number.isdigit() and int(number) < torch.cuda.device_count()):
         count = torch.cuda.device_count()
-        raise BenchError(f"stereo.device={setting}: there are {count} CUDA devices here, counted from cuda:0.")
+        raise BenchError(f"{where}={setting}: there are {count} CUDA devices here, counted from cuda:0.")
     return torch.device(setting)
 
 

@@ -147,6 +147,13 @@ _MANIFEST = (
         sha256="997fc2e4abbac6c8fdeac1bceb59d72f15c83f201c54d59b75d2d66126ab9487",
     ),
     Weights(
+        name="nice_slam_middle",
+        purpose="mapper=point_slam mapper.pretrained_geometry=true",
+        path="nice_slam/middle_fine.pt",
+        source=ByHand("https://github.com/eriksandstroem/Point-SLAM", "pretrained/middle_fine.pt"),
+        licence="Apache-2.0",
+    ),
+    Weights(
         name="igev_kitti2015",
         purpose="stereo=igev",
         path="igev/kitti15.pth",

@@ -1,0 +1,1 @@
+"""Point-SLAM (Sandström et al., ICCV 2023): neural points, their decoders, rays rendered around the sensor's depth."""
