@@ -166,7 +166,7 @@ def _read_list(path: Path) -> _List:
         if not words or words[0].startswith("#"):
             continue
         time, name = words if len(words) == 2 else ("", "")
-        if not re.fullmatch(r"[-+]?\d+\.?\d*", time) or Path(name).is_absolute() or ".." in Path(name).parts:
+        if not re.fullmatch(r"[-+]?\d{1,20}\.?\d*", time) or Path(name).is_absolute() or ".." in Path(name).parts:
             raise BenchError(
                 f"{path}, line {number}: expected a time in seconds and a file beside the list: 1.25 rgb/1.png"
             )

@@ -36,8 +36,11 @@ from bench.tracking.loops.vocabulary import train
 from bench.types import TrackingResult, Trajectory
 from plugins.datasets.kitti import Kitti, KittiConfig
 from plugins.datasets.kitti360 import Kitti360, Kitti360Config
+from plugins.datasets.replica import Replica, ReplicaConfig
+from plugins.datasets.tum_rgbd import TumRgbd, TumRgbdConfig
 from tests.datasets.kitti360_disk import drive_of, write_kitti360
 from tests.datasets.kitti_disk import write_kitti
+from tests.datasets.rgbd_disk import OWN, replica, tum
 from tests.evaluation.tiny_run import write_tiny_run
 from tests.external.foreign_case import COUNT, HEIGHT, WIDTH, curve, dataset, write_depth, write_poses, write_renders
 from tests.stereo.tiny_onnx import channel_reader
@@ -222,9 +225,18 @@ def _read_kitti360(root: Path) -> None:
     _read_dataset(Kitti360(Kitti360Config(root=str(root), sequence="0002")))
 
 
+def _read_tum(root: Path) -> None:
+    _read_dataset(TumRgbd(TumRgbdConfig(root=str(root), sequence="rgbd_dataset_handheld", **OWN)))
+
+
+def _read_replica(root: Path) -> None:
+    _read_dataset(Replica(ReplicaConfig(root=str(root), sequence="office7", **OWN)))
+
+
 def _read_dataset(dataset: Dataset) -> None:
     dataset.frame(0)
     dataset.lidar_depth(0)
+    dataset.sensor_depth(0)
     dataset.ground_truth()
 
 
@@ -243,6 +255,8 @@ _KITTI360_FILES = (
     *(f"data_poses/{drive_of('0002')}/cam0_to_world.txt", f"data_2d_raw/{drive_of('0002')}/image_00/timestamps.txt"),
 )
 _KITTI_FILES = ("calib.txt", "times.txt", "image_2/000000.png", "velodyne/000000.bin")
+_TUM_FILES = ("rgb.txt", "groundtruth.txt", "depth/10.015.png")
+_REPLICA_FILES = ("traj.txt", "results/depth000000.png")
 _TRAJECTORY = Trajectory(curve(FRAMES), FRAMES, TIMES)
 
 TARGETS = (
@@ -270,5 +284,7 @@ TARGETS = (
     *(Target(f"sequences/04/{name}", write_kitti, _read_kitti) for name in _KITTI_FILES),
     Target("poses/04.txt", write_kitti, _read_kitti),
     *(Target(name, write_kitti360, _read_kitti360) for name in _KITTI360_FILES),
+    *(Target(f"rgbd_dataset_handheld/{name}", tum, _read_tum) for name in _TUM_FILES),
+    *(Target(f"office7/{name}", replica, _read_replica) for name in _REPLICA_FILES),
     *(Target(f"theirs/{name}", _their_output, _read_output) for name in _THEIR_FILES),
 )
