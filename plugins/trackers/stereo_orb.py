@@ -24,7 +24,7 @@ from bench.tracking.loops.settings import LoopSettings
 from bench.tracking.odometry import FramePose, OdometrySettings, StereoOdometry
 from bench.types import Event, Float, StereoFrame, TrackingResult, Trajectory
 
-_INSTEAD = "tracker=groundtruth, or tracker=trajectory_file with poses of another system"
+_INSTEAD = "a tracker that looks at depth and the map, such as tracker=splatam, or tracker=groundtruth"
 
 
 @dataclass(frozen=True)

@@ -246,3 +246,13 @@ def test_a_saved_plugin_config_is_checked_too() -> None:
         plugin_config_from("stereo", {"name": "sgbm", "block_size": "x"})
     with pytest.raises(BenchError, match=r"Unknown stereo ''"):
         plugin_config_from("stereo", {})
+
+
+SYSTEMS = sorted(file.stem for file in (config_folder() / "system").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_each_part_of_each_system_can_be_exchanged(system: str) -> None:
+    """A preset's settings of a part go with the part: they are not left behind for another one, which lacks them."""
+    values = compose_run([f"system={system}", "tracker=stereo_orb", "keyframer=covisibility", "mapper=none"]).values
+    assert (values["tracker"]["name"], values["mapper"]["name"], values["system"]) == ("stereo_orb", "none", system)

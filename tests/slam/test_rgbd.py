@@ -103,6 +103,7 @@ class Fading(Sensor):
         return DepthMap(depth * np.float32(np.nan if frame.number == 2 else 1 + 0.01 * self._asked), "fading")
 
 
+@pytest.mark.slow
 def test_a_tracker_that_uses_depth_gets_that_of_every_frame_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,7 +145,7 @@ def test_what_uses_depth_passes_the_checks_of_a_tracker() -> None:
         (["tracker=groundtruth", "stereo=sgbm"], "stereo backbone Sgbm needs right images, and street/0 has none"),
         (
             ["tracker=stereo_orb", "stereo=lidar"],
-            "tracker=stereo_orb needs right images, .* Choose tracker=groundtruth",
+            "tracker=stereo_orb needs right images, .* such as tracker=splatam",
         ),
         (
             ["tracker=groundtruth", "stereo=lidar", "mapper.right_images=0.5"],
