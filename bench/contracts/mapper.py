@@ -55,6 +55,10 @@ class Mapper(ABC):
         tell. Asked for after ``start``."""
         return None
 
+    def weights(self) -> dict[str, Path]:
+        """Files of network weights in use, by what they are for; empty (the default) for a mapper without any."""
+        return {}
+
     @abstractmethod
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
         """Learn from a new keyframe. ``window`` holds the numbers of the active keyframes, the new one included."""

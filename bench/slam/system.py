@@ -79,8 +79,12 @@ class System:
         return self.tracker.uses_map or self.keyframer.uses_map
 
     def weights(self) -> dict[str, Path]:
-        """The files of network weights in use, as ``"stereo.<what>"`` and ``"sky.<what>"``."""
-        parts: dict[str, DepthSource | SkySegmenter] = {"stereo": self.stereo, "sky": self.sky}
+        """The files of network weights in use, as ``"stereo.<what>"``, ``"sky.<what>"`` and ``"mapper.<what>"``."""
+        parts: dict[str, DepthSource | SkySegmenter | Mapper] = {
+            "stereo": self.stereo,
+            "sky": self.sky,
+            "mapper": self.mapper,
+        }
         return {f"{kind}.{what}": path for kind, part in parts.items() for what, path in part.weights().items()}
 
 

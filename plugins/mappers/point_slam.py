@@ -14,7 +14,7 @@ from bench.baselines.point_slam.cloud import FEATURES, PointCloud
 from bench.baselines.point_slam.frames import MappedFrame, in_view, window_of
 from bench.baselines.point_slam.learning import Learning, later_iterations
 from bench.baselines.point_slam.map_view import PointMapView
-from bench.baselines.point_slam.original_weights import load_geometry
+from bench.baselines.point_slam.original_weights import WEIGHTS, load_geometry
 from bench.baselines.point_slam.picture import picture
 from bench.baselines.point_slam.radius import QUERY_FACTOR, add_radius, edges
 from bench.baselines.point_slam.rays import RayRenderer
@@ -24,7 +24,8 @@ from bench.contracts.map_view import MapView
 from bench.contracts.mapper import CannotRenderError, MapNeeds, Mapper
 from bench.registry import register
 from bench.stereo.device import choose_device
-from bench.types import Event, Float, Keyframe, Map, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
+from bench.types import Float, Keyframe, Map, MappingReport, PinholeView, RenderedView, StereoCamera, Trajectory
+from bench.weights import resolve
 
 _FLOAT, _POINT_FLOATS = 4, 3 + 2 * FEATURES
 _PROGRAM_GB, _RAY_BYTES, _KEYFRAME_BYTES = 0.6, 60e3, 19
@@ -64,11 +65,14 @@ class PointSlamMapper(Mapper):
         self._poses: dict[int, Float] = {}  # of all mapped frames, as their points have them
         self._rounds = 0  # of colour refinement
 
+    def weights(self) -> dict[str, Path]:
+        return {"geometry": resolve(WEIGHTS)} if self.config.pretrained_geometry else {}
+
     def size(self) -> dict[str, int]:
         return {"points": len(self._cloud)}
 
     def add_keyframe(self, keyframe: Keyframe, window: Sequence[int]) -> MappingReport:
-        c, first = self.config, not self._poses
+        c, first = self.config, not len(self._cloud)
         edge = edges(keyframe.frame.left)
         frame = self._mapped(keyframe, edge)
         self._poses[frame.number] = frame.T_world_cam
@@ -86,7 +90,7 @@ class PointSlamMapper(Mapper):
         if not self._keyframes or frame.number - self._keyframes[-1].number >= c.keyframe_every:
             self._keyframes.append(frame)
         psnr_db = self._psnr(frame, keyframe.depth.depth)
-        return MappingReport(psnr_db, {"rays": loss}, (Event("points_added", frame.number, {"count": added}),))
+        return MappingReport(psnr_db, {"rays": loss})
 
     def update_poses(self, trajectory: Trajectory) -> None:
         for number, before in self._poses.items():

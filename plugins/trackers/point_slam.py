@@ -16,7 +16,7 @@ from bench.contracts.tracker import Tracker
 from bench.errors import BenchError
 from bench.geometry import se3
 from bench.registry import register
-from bench.types import Event, Float, StereoFrame, TrackingResult, Trajectory
+from bench.types import Event, Float, StereoFrame, TrackingResult, TrackingState, Trajectory
 
 _SEED = 1219
 """The original's."""
@@ -57,7 +57,8 @@ class PointSlamTracker(Tracker):
     def track(self, frame: StereoFrame) -> TrackingResult:
         """The pose of least loss; "weak" where no ray meets points, which leaves the guess of constant speed."""
         events: tuple[Event, ...] = ()
-        position, state = len(self._poses), "ok"
+        state: TrackingState = "ok"
+        position = len(self._poses)
         pose = self._true_pose(frame.number) if position < self._config.true_poses else None
         if pose is None and position == 0:
             pose = np.eye(4)
@@ -68,7 +69,7 @@ class PointSlamTracker(Tracker):
         self._poses.append(pose)
         self._numbers.append(frame.number)
         self._times.append(frame.timestamp)
-        return TrackingResult(pose, "ok" if state == "ok" else "weak", events=events)
+        return TrackingResult(pose, state, events=events)
 
     def _true_pose(self, number: int) -> Float | None:
         return None if self._truth is None else self._truth.pose_of(number)

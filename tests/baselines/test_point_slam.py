@@ -322,6 +322,19 @@ def test_a_broken_map_goes_on_to_the_same_bits() -> None:
         assert torch.equal(tensor, broken._cloud.state()[name]), name
 
 
+def test_a_first_frame_without_depth_is_no_first_frame() -> None:
+    """It brings no points, and the geometry decoder is trained with the next one."""
+    blind = wall(0)
+    blind = replace(blind, depth=DepthMap(np.full((16, 24), np.nan, np.float32), "truth"))
+    mapper = started()
+    before = mapper.state()["geometry"]
+    assert np.isfinite(mapper.add_keyframe(blind, [0]).psnr_db)
+    assert mapper.size() == {"points": 0}
+    mapper.add_keyframe(wall(1), [1])
+    assert mapper.size() != {"points": 0}
+    assert not torch.equal(before["output_linear.weight"], mapper.state()["geometry"]["output_linear.weight"])
+
+
 def test_one_thread_or_two_give_the_same_bits() -> None:
     before = torch.get_num_threads()
     clouds = []
