@@ -74,8 +74,8 @@ class ChunkDrawing:
 
 
 class ChunkedMap:
-    """``live``: the Gaussians that learn. Others lie in ``store`` in blocks, each written once; ``planes`` are the live
-    ones followed by the blocks near the place of ``look_from``.
+    """``live``: the Gaussians that learn, and the sky's. Others lie in ``store`` in blocks, each written once;
+    ``seen_from`` gives the live ones followed by the blocks near the place of ``look_from``.
 
     Which blocks those are follows from places alone, and a block is drawn where its keyframes are now, whether it was
     in memory or not: so results do not depend on ``memory_bytes`` and ``budget``, up to which blocks stay in memory.
@@ -99,12 +99,12 @@ class ChunkedMap:
     def __len__(self) -> int:
         return len(self.live) + sum(block.gaussians for block in self._blocks.values())
 
-    @property
-    def planes(self) -> Tensor:
-        """Parameters (P, N) of what is in use: the live Gaussians, then those of the blocks near by. The live ones may
-        be changed in place."""
+    def seen_from(self, place: Float) -> Tensor:
+        """Parameters (P, N) of what is in use, with the sky about ``place`` (3,): the live Gaussians, then those of the
+        blocks near by. The live ones may be changed in place."""
+        seen = self.live.seen_from(place)
         if not self._near:
-            return self.live.planes
+            return seen
         known = self._extended
         if known is None or known[:2] != (self.live.changes, self._near):
             planes = self.live.extended([self._planes_of(*each) for each in self._near])
@@ -112,7 +112,7 @@ class ChunkedMap:
         return known[2]
 
     def look_from(self, place: Float) -> None:
-        """From now on ``planes`` have the blocks of which something is within reach of ``place`` (3,), in metres."""
+        """From now on ``seen_from`` gives the blocks of which something is within reach of ``place`` (3,) in metres."""
         distances = [(name, self._distance(block, place)) for name, block in self._blocks.items()]
         drawing = self._drawing
         self._near = tuple((name, drawing.level(d)) for name, d in distances if d <= drawing.far_m)
@@ -130,17 +130,18 @@ class ChunkedMap:
     def freeze(self, keyframes: Sequence[int]) -> None:
         """Let what lies nearest to these keyframes, of all keyframes that live, go to the store.
 
-        Each Gaussian then belongs to a keyframe on its side. Raises ``BenchError`` where the store can't be written;
-        the map is then as it was.
+        Each Gaussian then belongs to a keyframe on its side; the sky stays. Raises ``BenchError`` where the store
+        can't be written; the map is then as it was.
         """
         live = self.live
         leaves = np.isin(live.keyframes, keyframes)
-        rows = live.anchor.long().cpu().numpy()
-        nearest = _nearest(live.planes[MEAN], live.poses[:, :3, 3])
+        sky = live.sky
+        rows = live.anchor[sky:].long().cpu().numpy()
+        nearest = _nearest(live.planes[MEAN, sky:], live.poses[:, :3, 3])
         other_side = np.flatnonzero((leaves[nearest] != leaves[rows]) | (rows < 0))
-        live.assign(torch.from_numpy(other_side).to(live.device), torch.from_numpy(nearest[other_side]))
+        live.assign(torch.from_numpy(sky + other_side).to(live.device), torch.from_numpy(nearest[other_side]))
         rows = live.anchor.long().cpu().numpy()
-        goes = leaves[rows]
+        goes = leaves[rows] & (rows >= 0)
         means = live.planes[MEAN].double().cpu().numpy().T
         far = np.linalg.norm(means - live.poses[rows, :3, 3], axis=1) > _FAR_M
         blocks = [self._put(live.select(torch.from_numpy(goes & part).to(live.device)), leaves) for part in (~far, far)]
@@ -174,11 +175,14 @@ class ChunkedMap:
         return self.live.follow(trajectory, self._drawing.follow_m, self._drawing.follow_deg)
 
     def save(self, path: Path) -> None:
-        """Write all parameters, but for what is lost, as a PLY file in the layout of 3DGS, a block at a time."""
+        """Write all parameters, but for what is lost, as a PLY file in the layout of 3DGS, a block at a time, with
+        the sky about the origin."""
         for name in list(self._blocks):
             self._arrays_of(self._blocks[name])
-        parts = (self._planes_of(name) for name in list(self._blocks))
-        write_ply_in_parts(path, chain(parts, [self.live.planes]), len(self), self.live.sh_degree)
+        blocks = (self._planes_of(name) for name in list(self._blocks))
+        live, sky = self.live.seen_from(np.zeros(3)), self.live.sky
+        parts = chain([live[:, :sky]], blocks, [live[:, sky:]])
+        write_ply_in_parts(path, parts, len(self), self.live.sh_degree, sky)
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint; ``stored``: names in the store."""
@@ -248,11 +252,11 @@ class ChunkedMap:
         arrays = self._arrays_of(block)
         if arrays is None:
             return None
-        names = ("planes", "birth_depth", "anchor", "numbers", "T_world_cam")
+        names = ("planes", "birth_depth", "anchor", "numbers", "T_world_cam", "sky_about")
         state = {key: torch.from_numpy(np.array(arrays[key])) for key in names}
         if level:
             middle, count = len(block.keyframes) // 2, arrays[f"level_{level}"].shape[1]
-            state = {
+            state |= {
                 "planes": torch.from_numpy(np.array(arrays[f"level_{level}"])),
                 "birth_depth": torch.zeros(count),
                 "anchor": torch.zeros(count, dtype=torch.int32),

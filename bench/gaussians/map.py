@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 _COLUMNS = ("planes", "first_moment", "second_moment", "birth_depth", "anchor")
+SKY = -2
+"""``anchor`` of the sky's Gaussians."""
 _SPARE = 1.25
 """Columns get so many times the room that they need when they outgrow theirs."""
 
@@ -41,9 +43,11 @@ class GaussianMap:
 
     ``planes`` (P, N): the parameters (``bench/gaussians/schema.py``). ``first_moment``, ``second_moment`` (P, N):
     Adam's. ``birth_depth`` (N,): metres from the camera when it was seeded. ``anchor`` (N,) int32: which keyframe
-    seeded it, as an index of the keyframes that were added, or -1. Gaussians of one keyframe are neighbours, in the
-    order of the keyframes. Values may be changed in place; columns are not replaced from outside. They are views into
-    buffers with room to spare, so that the map grows and shrinks in place: rows may be farther apart than N.
+    seeded it, as an index of the keyframes that were added, or -1 for none, or ``SKY``. Gaussians of one keyframe are
+    neighbours, in the order of the keyframes; the sky comes first. It is infinitely far: it belongs to no keyframe, and
+    moves with whoever looks at it (``seen_from``). Values may be changed in place; columns are not replaced from
+    outside. They are views into buffers with room to spare, so that the map grows and shrinks in place: rows may be
+    farther apart than N.
     """
 
     planes: Tensor
@@ -62,6 +66,7 @@ class GaussianMap:
         self._resize(0)
         self._numbers = np.zeros(0, dtype=np.int64)
         self._T_world_cam = np.zeros((0, 4, 4))
+        self._sky_about = np.zeros(3)
 
     def __len__(self) -> int:
         return self.planes.shape[1]
@@ -100,6 +105,24 @@ class GaussianMap:
         self._append(planes, depths, torch.full((len(depths),), row, dtype=torch.int32, device=self.device))
         if len(again):
             self.keep(torch.argsort(self.anchor, stable=True))
+
+    def add_sky(self, place: Float, planes: Tensor, depths: Tensor) -> None:
+        """New Gaussians (P', M) of the sky as seen from ``place`` (3,) at ``depths`` (M,) metres."""
+        if not len(depths):
+            return
+        self._look_from(place)
+        self._append(planes, depths, torch.full((len(depths),), SKY, dtype=torch.int32, device=self.device))
+        self.keep(torch.argsort(self.anchor, stable=True))
+
+    @property
+    def sky(self) -> int:
+        """How many Gaussians show the sky: the first ones."""
+        return int(torch.searchsorted(self.anchor, torch.tensor(SKY, device=self.device).to(self.anchor), right=True))
+
+    def seen_from(self, place: Float) -> Tensor:
+        """``planes`` with the sky about ``place`` (3,)."""
+        self._look_from(place)
+        return self.planes
 
     def keep(self, which: Tensor) -> None:
         """Drop all Gaussians but those of the (N,) bool mask, or of the indices (M,)."""
@@ -191,6 +214,7 @@ class GaussianMap:
         return columns | {
             "numbers": torch.from_numpy(self._numbers),
             "T_world_cam": torch.from_numpy(self._T_world_cam),
+            "sky_about": torch.from_numpy(self._sky_about),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -199,10 +223,11 @@ class GaussianMap:
         self._buffers = {name: state[name].to(device) for name in _COLUMNS}
         self._resize(len(state["anchor"]))
         self._numbers, self._T_world_cam = state["numbers"].numpy(), state["T_world_cam"].numpy()
+        self._sky_about = state["sky_about"].numpy()
 
     def save(self, path: Path) -> None:
-        """Write the parameters as a PLY file in the layout of 3DGS."""
-        write_ply(path, self.planes)
+        """Write the parameters as a PLY file in the layout of 3DGS, with the sky about the origin."""
+        write_ply(path, self.seen_from(np.zeros(3)), self.sky)
 
     @classmethod
     def load(cls, path: Path, device: str | torch.device = "cpu") -> GaussianMap:
@@ -210,12 +235,20 @@ class GaussianMap:
 
         The file has the parameters alone: moments are zero, birth depths NaN, and no Gaussian has a keyframe.
         """
-        planes = read_ply(path)
+        planes, sky = read_ply(path)
         loaded = cls(degree_of(len(planes)), device)
         count = planes.shape[1]
         anchor = torch.full((count,), -1, dtype=torch.int32, device=device)
+        anchor[:sky] = SKY
         loaded._append(planes, torch.full((count,), torch.nan), anchor)
         return loaded
+
+    def _look_from(self, place: Float) -> None:
+        """Move the sky to about ``place`` (3,)."""
+        if (place != self._sky_about).any():
+            shift = torch.from_numpy((place - self._sky_about).astype(np.float32)).to(self.device)
+            self.planes[MEAN, : self.sky] += shift[:, None]
+            self._sky_about = place.copy()
 
     def _append(self, planes: Tensor, depths: Tensor, anchor: Tensor) -> None:
         missing = len(self.planes) - len(planes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,9 @@ from bench.gaussians.chunked_map import ChunkedMap
 from bench.gaussians.map import GaussianMap
 from bench.types import Float, Map, PinholeView, RenderedView
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 
 def as_arrays(rendered: Rendered) -> RenderedView:
     """A render as numpy arrays, colours clamped to [0, 1]."""
@@ -23,7 +27,7 @@ def as_arrays(rendered: Rendered) -> RenderedView:
 
 
 class GaussianMapView(MapView):
-    """Looks at ``gaussians`` as they are when it is asked; never changes them."""
+    """Looks at ``gaussians`` as they are when it is asked; never changes them, but for where their sky stands."""
 
     def __init__(
         self,
@@ -33,14 +37,18 @@ class GaussianMapView(MapView):
     ) -> None:
         self._map, self._rasterizer, self._refined_pose = gaussians, rasterizer, refined_pose
 
+    def _planes(self, view: PinholeView) -> Tensor:
+        return self._map.seen_from(view.T_world_cam[:3, 3])
+
     def render(self, view: PinholeView) -> RenderedView:
         """The map from a view, colours clamped to [0, 1]."""
-        rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
+        rendered = self._rasterizer.render(self._planes(view), view, differentiable=False)
         return as_arrays(rendered)
 
     def differentiate(self, view: PinholeView, loss: ImageLoss) -> tuple[float, Float]:
-        """Value and gradient (6,) by the twist; ``BenchError`` for a loss that does not depend on the render."""
-        rendered = self._rasterizer.render(self._map.planes, view)
+        """Value and gradient (6,) by the twist, with the sky as a thing at its distance; ``BenchError`` for a loss that
+        does not depend on the render."""
+        rendered = self._rasterizer.render(self._planes(view), view)
         images = [image.detach().requires_grad_() for image in (rendered.color, rendered.depth, rendered.alpha)]
         with torch.enable_grad():
             value = loss(*images)
@@ -54,11 +62,11 @@ class GaussianMapView(MapView):
 
     def seen(self, view: PinholeView) -> npt.NDArray[np.int32]:
         """(N,) pixels per Gaussian in which it is blended while more than half of the light is left."""
-        return self._rasterizer.observe(self._map.planes, view).pixels.cpu().numpy()
+        return self._rasterizer.observe(self._planes(view), view).pixels.cpu().numpy()
 
     def median_depth(self, view: PinholeView) -> Map:
         """(H, W) metres of the Gaussian with which half of the light is gone; NaN where it never is."""
-        return self._rasterizer.observe(self._map.planes, view).median_depth.float().cpu().numpy()
+        return self._rasterizer.observe(self._planes(view), view).median_depth.float().cpu().numpy()
 
     def refined_pose(self, number: int) -> Float | None:
         """The keyframe's pose as mapping has it, where mapping optimises poses."""

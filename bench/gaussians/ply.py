@@ -31,6 +31,7 @@ from bench.io.foreign import open_plain, reading
 _MOST_HEADER = 65536
 """Bytes; a map with harmonics of degree 3 has 1,500."""
 
+_SKY_COMMENT = "gaussians of the sky, which moves with the viewer: the first "
 _ROWS = 1 << 16
 """Gaussians that are written at a time."""
 
@@ -38,12 +39,15 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-def write_ply(path: Path, planes: Tensor) -> None:
-    """Write (P, N) parameters: positions, zero normals, harmonics, opacity logit, log scales, unit quaternions."""
-    write_ply_in_parts(path, [planes], planes.shape[1], degree_of(len(planes)))
+def write_ply(path: Path, planes: Tensor, sky: int = 0) -> None:
+    """Write (P, N) parameters: positions, zero normals, harmonics, opacity logit, log scales, unit quaternions.
+
+    A comment in the header says that the first ``sky`` of them move with whoever looks at them.
+    """
+    write_ply_in_parts(path, [planes], planes.shape[1], degree_of(len(planes)), sky)
 
 
-def write_ply_in_parts(path: Path, parts: Iterable[Tensor], count: int, degree: int) -> None:
+def write_ply_in_parts(path: Path, parts: Iterable[Tensor], count: int, degree: int, sky: int = 0) -> None:
     """The file that ``write_ply`` writes for all parts (P, N_k) side by side, without a second copy of any of them.
 
     ``count`` is the sum of all N_k, and ``degree`` that of the harmonics of each; ``BenchError`` where they are not,
@@ -52,7 +56,8 @@ def write_ply_in_parts(path: Path, parts: Iterable[Tensor], count: int, degree: 
     names = column_names(degree)
     table = np.zeros(_ROWS, dtype=[(name, "<f4") for name in _file_order(names)])
     # Of no rows, for the number is not known to plyfile.
-    header = PlyData([PlyElement.describe(table[:0], "vertex")], byte_order="<").header
+    comments = [f"{_SKY_COMMENT}{sky}"] if sky else []
+    header = PlyData([PlyElement.describe(table[:0], "vertex")], byte_order="<", comments=comments).header
     written = 0
     with open(path, "wb") as file:
         file.write(header.replace("element vertex 0\n", f"element vertex {count}\n").encode() + b"\n")
@@ -68,9 +73,10 @@ def write_ply_in_parts(path: Path, parts: Iterable[Tensor], count: int, degree: 
         raise BenchError(f"Can't write {path}: the map has {written} Gaussians, and {count} were announced.")
 
 
-def read_ply(path: Path) -> Tensor:
-    """The (P, N) parameters in a map of any 3DGS program; ``BenchError`` for a damaged file or one of another kind."""
-    data = _vertices(path)
+def read_ply(path: Path) -> tuple[Tensor, int]:
+    """The (P, N) parameters in a map of any 3DGS program, and how many of the first show the sky; ``BenchError`` for a
+    damaged file or one of another kind."""
+    data, comments = _vertices(path)
     known = set(data.dtype.names or ())
     harmonics = sum(name.startswith("f_rest_") for name in known)
     degrees = {planes_of(degree) - planes_of(0): degree for degree in range(MAX_DEGREE + 1)}
@@ -94,7 +100,9 @@ def read_ply(path: Path) -> Tensor:
             f"{path} is damaged: {len(bad)} of {len(data)} Gaussians have values that are no numbers, first {name} "
             f"of Gaussian {bad[0]}. Copy or make the map again."
         )
-    return torch.from_numpy(planes)
+    said = [comment.removeprefix(_SKY_COMMENT) for comment in comments if comment.startswith(_SKY_COMMENT)]
+    sky = said[0] if said and said[0].isdecimal() else "0"
+    return torch.from_numpy(planes), min(int(sky[:18]), len(data))
 
 
 def _fill(rows: np.ndarray, names: tuple[str, ...], data: Tensor) -> None:
@@ -111,8 +119,8 @@ def _file_order(names: tuple[str, ...]) -> list[str]:
     return [*names[MEAN], "nx", "ny", "nz", *last]
 
 
-def _vertices(path: Path) -> np.ndarray:
-    """The table of vertices, (N,) with named columns."""
+def _vertices(path: Path) -> tuple[np.ndarray, list[str]]:
+    """The table of vertices, (N,) with named columns, and the comments of the header."""
     if not path.exists():
         raise BenchError(f"There is no map {path}.")
     with reading(path, "is no PLY file, or damaged", "Copy or make the map again."):
@@ -120,7 +128,7 @@ def _vertices(path: Path) -> np.ndarray:
         ply = PlyData.read(str(path))
         if "vertex" not in ply:
             raise BenchError(f"{path} is no 3DGS map: it has no element 'vertex'.")
-        return np.asarray(ply["vertex"].data)
+        return np.asarray(ply["vertex"].data), list(ply.comments)
 
 
 def _require_rows(path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
@@ -52,7 +52,7 @@ class SeedingConfig:
     min_confidence: float = 0.0
     """Depth counts as unknown where the stereo plugin's confidence in it, 0 to 1, is below this (0: any counts)."""
     sky_distance_m: float = 200.0
-    """Where sky pixels are put, in metres (0: no Gaussians for the sky)."""
+    """How far from the camera the sky is, in metres (0: no Gaussians for the sky). It moves with the camera."""
 
     def __post_init__(self) -> None:
         if self.stride < 1:
@@ -70,6 +70,14 @@ class SeedingConfig:
     def margin_columns(self, width: int) -> int:
         """The margin of an image of this width on each side, in pixels."""
         return round(self.margin * width)
+
+
+class Seeds(NamedTuple):
+    """New Gaussians (14, N), of degree 0; their depths (N,) in metres; which of them show the sky, (N,) bool."""
+
+    planes: Tensor
+    depths: Tensor
+    of_sky: Tensor
 
 
 def depth_to_seed_from(keyframe: Keyframe, depth_range_m: tuple[float, float], config: SeedingConfig) -> Map:
@@ -170,15 +178,17 @@ def seed_gaussians(
     unexplained: Mask,
     view: PinholeView,
     config: SeedingConfig,
-) -> tuple[Tensor, Tensor]:
-    """New Gaussians (14, N), of degree 0, for the unexplained pixels, and their depths (N,) in metres.
+) -> Seeds:
+    """New Gaussians for the unexplained pixels.
 
     ``depth`` (H, W) metres is NaN where unknown or out of range; ``sky`` (H, W) or None. ``unexplained``
     (H, W + 2 margin columns) has the margins of both sides too.
     """
     margin = config.margin_columns(view.width)
-    inverse, normals, usable, image = (
-        _beyond_the_border(a, margin) for a in (*_surfaces(depth, sky, view, config), image)
+    no_sky = np.zeros(depth.shape, bool)
+    inverse, normals, usable, image, sky = (
+        _beyond_the_border(a, margin)
+        for a in (*_surfaces(depth, sky, view, config), image, no_sky if sky is None else sky)
     )
     wide = view.widened(margin)
     grid = np.zeros(inverse.shape, bool)
@@ -198,4 +208,4 @@ def seed_gaussians(
     opacities = np.where(in_margin, max(config.opacity, _MARGIN_OPACITY), config.opacity)
     columns = (means, scales, quaternions, opacities, colors)
     planes = planes_from(*(torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in columns))
-    return planes, torch.from_numpy(z.astype(np.float32))
+    return Seeds(planes, torch.from_numpy(z.astype(np.float32)), torch.from_numpy(sky[v, u]))

@@ -18,7 +18,7 @@ from bench import registry
 from bench.contracts.loss import LossTerm, NotFiniteError
 from bench.contracts.map_view import MapView
 from bench.contracts.mapper import CannotRenderError, MapNeeds, Mapper
-from bench.contracts.rasterizer import Rasterizer
+from bench.contracts.rasterizer import Rasterizer, Rendered
 from bench.errors import BenchError
 from bench.gaussians.chunk_schedule import ChunkSchedule
 from bench.gaussians.chunked_map import Block, ChunkDrawing, ChunkedMap
@@ -205,7 +205,7 @@ class GaussianMapper(Mapper):
             left = self._refinement.corrected(number, view.T_world_cam @ np.linalg.inv(offset))
             view = replace(view, T_world_cam=left @ offset)
         self._look_from(view)
-        rendered = self._rasterizer.render(self._map.planes, view, differentiable=False)
+        rendered = self._render(view)
         return as_arrays(replace(rendered, color=self._appearance.shown(rendered.color, number, right)))
 
     def view(self) -> MapView:
@@ -260,6 +260,7 @@ class GaussianMapper(Mapper):
             self._last = self._last_optimisation(due[0])
         if self._last is None:
             return
+        self._map.look_from(self._replay.place(self._last.numbers[len(self._last.numbers) // 2]))
         per_keyframe = self.config.final_coarse_iterations + self.config.final_iterations
         for _ in range(per_keyframe * max(len(due), 1)):
             if self._last.over:
@@ -268,7 +269,7 @@ class GaussianMapper(Mapper):
         if self._last.over:
             self._freeze(self._last.numbers)
             self._last = None
-            self._map.look_from(self._replay.place(number))
+        self._map.look_from(self._replay.place(number))
 
     def _last_optimisation(self, numbers: Sequence[int], of_rest: bool = False) -> LastOptimisation:
         c = self.config
@@ -291,7 +292,8 @@ class GaussianMapper(Mapper):
         """Where the camera has come back, drop Gaussians of these keyframes that an earlier pass has, too: those from
         before the loop closed lie beside its own."""
         live, anchor = self._map.live, self._map.live.anchor.long().cpu().numpy()
-        earlier, now = (np.isin(live.keyframes, list(each))[anchor] for each in (self._schedule.again, numbers))
+        of = (self._schedule.again, numbers)
+        earlier, now = (np.isin(live.keyframes, list(each))[anchor.clip(0)] & (anchor >= 0) for each in of)
         now &= ~earlier
         if not (earlier.any() and now.any()):
             return
@@ -299,7 +301,7 @@ class GaussianMapper(Mapper):
         old = torch.from_numpy(np.flatnonzero(earlier)).to(live.device)
         passing = [number for number in numbers if number not in self._schedule.again]
         views = ((self._replay.view(number), self._in_map(number)) for number in passing)
-        planes = self._map.planes
+        planes = self._map.seen_from(self._replay.place(numbers[-1]))
         on_disk = planes[:, len(live) :]
         double = duplicates(torch.cat([planes[:, old], on_disk], 1), planes[:, new], views, self._rasterizer)
         if bool(double.any()):
@@ -347,6 +349,9 @@ class GaussianMapper(Mapper):
             return older[int(self._random.integers(len(older)))]
         return newest
 
+    def _render(self, view: PinholeView, differentiable: bool = False) -> Rendered:
+        return self._rasterizer.render(self._map.seen_from(view.T_world_cam[:3, 3]), view, differentiable)
+
     def _iterate(self, number: int, half: bool, step: str, map_learns: bool = True) -> dict[str, float]:
         """One render of a keyframe, its losses, and one step of the optimizer; an error says which ``step`` it was.
 
@@ -355,7 +360,7 @@ class GaussianMapper(Mapper):
         share = self.config.right_images if map_learns else 0.0
         right = share > 0 and bool(self._random.random() < share)
         target, view = self._replay.target(number, half, right), self._replay.view(number, right)
-        rendered = self._rasterizer.render(self._map.planes, view.halved() if half else view)
+        rendered = self._render(view.halved() if half else view, differentiable=True)
         if not right:
             self._appearance.exposures.learn(number, rendered.color, rendered.alpha, target)
         shown = self._appearance.shown(rendered.color, number, right, target.limit)
@@ -381,7 +386,7 @@ class GaussianMapper(Mapper):
         """Fit exposure and pose of a new keyframe to the map before it adds to it, where they are learned."""
         if not self.config.exposure and not self._refinement.on:
             return
-        rendered = self._rasterizer.render(self._map.planes, self._replay.view(number).halved(), differentiable=False)
+        rendered = self._render(self._replay.view(number).halved())
         target = self._replay.target(number, half=True)
         self._appearance.exposures.learn(number, rendered.color, rendered.alpha, target, share=1.0)
         for _ in range(_SETTLING_STEPS if self.gaussians and self._refinement.on else 0):
@@ -395,7 +400,7 @@ class GaussianMapper(Mapper):
         margin = seeding.margin_columns(view.width)
         unexplained = np.ones((view.height, view.width + 2 * margin), bool)
         if self.gaussians:
-            rendered = self._rasterizer.render(self._map.planes, view.widened(margin), differentiable=False)
+            rendered = self._render(view.widened(margin))
             shown = self._appearance.shown(rendered.color, number, right=False)
             error = (shown[..., margin : margin + view.width] - target.image).abs().mean(0)
             error = torch.nn.functional.pad(error, (margin, margin))
@@ -404,8 +409,10 @@ class GaussianMapper(Mapper):
             unexplained[:, margin : margin + view.width] &= ~self._moving.mask(number)
         depth = depth_to_seed_from(keyframe, c.depth_range_m, seeding)
         image = self._appearance.in_map(number, keyframe.frame.left)
-        planes, depths = seed_gaussians(image, depth, keyframe.sky, unexplained, view, seeding)
-        self._map.live.add(number, keyframe.T_world_cam, planes, depths)
+        seeds = seed_gaussians(image, depth, keyframe.sky, unexplained, view, seeding)
+        sky, live = seeds.of_sky, self._map.live
+        live.add(number, keyframe.T_world_cam, seeds.planes[:, ~sky], seeds.depths[~sky])
+        live.add_sky(view.T_world_cam[:3, 3], seeds.planes[:, sky], seeds.depths[sky])
 
     def _require_finite(self, when: str) -> None:
         """``BenchError`` that says ``when``, for a map that holds NaN: gradients can be no numbers where losses are."""
@@ -435,7 +442,7 @@ class GaussianMapper(Mapper):
         return events
 
     def _psnr(self, number: int) -> float:
-        rendered = self._rasterizer.render(self._map.planes, self._replay.view(number), differentiable=False)
+        rendered = self._render(self._replay.view(number))
         shown = self._appearance.shown(rendered.color, number, right=False)
         error = shown.clamp(0.0, 1.0) - self._replay.target(number, half=False).image
         return float(-10.0 * torch.log10((error * error).mean().clamp_min(1e-10)))

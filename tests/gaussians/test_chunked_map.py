@@ -138,15 +138,15 @@ def test_chunks_follow_corrections_as_live_gaussians_do(tmp_path: Path) -> None:
         whole.follow(poses(changed), 0.01, 0.05)
         split.look_from(np.zeros(3))
         stored, live = whole.planes.split([len(split) - len(split.live), len(split.live)], dim=1)
-        torch.testing.assert_close(split.planes, torch.cat([live, stored], 1), rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(split.seen_from(np.zeros(3)), torch.cat([live, stored], 1), rtol=1e-5, atol=1e-5)
 
 
 def test_only_chunks_within_reach_are_drawn(tmp_path: Path) -> None:
     split, _ = chunked(ArrayStore(tmp_path), reach_m=5.0)
     split.look_from(np.array([0.0, 0.0, 400.0]))
-    assert split.planes.shape[1] == len(split.live)
+    assert split.seen_from(np.zeros(3)).shape[1] == len(split.live)
     split.look_from(np.zeros(3))
-    assert split.planes.shape[1] == len(split)
+    assert split.seen_from(np.zeros(3)).shape[1] == len(split)
 
 
 def test_what_is_far_is_drawn_in_fewer_gaussians(tmp_path: Path) -> None:
@@ -154,7 +154,7 @@ def test_what_is_far_is_drawn_in_fewer_gaussians(tmp_path: Path) -> None:
     counts = []
     for distance in (0.0, 16.0, 26.0):
         split.look_from(np.array([0.0, -distance, 0.0]))
-        counts.append(split.planes.shape[1] - len(split.live))
+        counts.append(split.seen_from(np.zeros(3)).shape[1] - len(split.live))
     assert counts[0] == len(split) - len(split.live)
     assert counts[0] > counts[1] > counts[2] > 0
 

@@ -50,7 +50,7 @@ def plane_depth(normal: np.ndarray, distance: float) -> np.ndarray:
 
 def test_means_colors_and_depths_at_known_points() -> None:
     depth = RNG.uniform(2, 30, (H, W)).astype(np.float32)
-    planes, depths = seed_gaussians(IMAGE, depth, None, ALL, VIEW, PLAIN)
+    planes, depths, _ = seed_gaussians(IMAGE, depth, None, ALL, VIEW, PLAIN)
     seeds = NamedParameters(planes)
     assert planes.shape == (14, H * W)
     assert planes.dtype == torch.float32
@@ -80,7 +80,7 @@ def test_size_and_orientation_on_a_plane(normal: tuple[float, float, float]) -> 
 def test_stride_takes_every_other_pixel_and_doubles_the_size() -> None:
     depth = np.full((H, W), 10.0, np.float32)
     config = replace(PLAIN, stride=2)
-    planes, _ = seed_gaussians(IMAGE, depth, None, ALL, VIEW, config)
+    planes, *_ = seed_gaussians(IMAGE, depth, None, ALL, VIEW, config)
     assert planes.shape[1] == (H // 2) * (W // 2)
     np.testing.assert_allclose(NamedParameters(planes).scales[:, 0], 0.6 * 2 * 10.0 / 50.0, rtol=1e-5)
     np.testing.assert_allclose(NamedParameters(planes).means[1], back_projected(0, 2, 10.0), rtol=1e-5)
@@ -91,7 +91,7 @@ def test_only_where_unexplained_and_only_where_depth_is_known() -> None:
     depth[:, :7] = np.nan
     unexplained = np.zeros((H, W), bool)
     unexplained[3, 2:10] = True
-    planes, _ = seed_gaussians(IMAGE, depth, None, unexplained, VIEW, PLAIN)
+    planes, *_ = seed_gaussians(IMAGE, depth, None, unexplained, VIEW, PLAIN)
     expected = [back_projected(3, column, 10.0) for column in (7, 8, 9)]
     np.testing.assert_allclose(NamedParameters(planes).means, expected, rtol=1e-5)
 
@@ -101,7 +101,7 @@ def test_holes_get_seeds_when_asked_for() -> None:
     depth = np.full((H, W), 10.0, np.float32)
     depth[8:14, 10:20] = np.nan
     config = replace(PLAIN, fill_holes=True)
-    planes, depths = seed_gaussians(IMAGE, depth, None, ALL, VIEW, config)
+    planes, depths, _ = seed_gaussians(IMAGE, depth, None, ALL, VIEW, config)
     assert planes.shape[1] == H * W
     np.testing.assert_allclose(depths, 10.0, rtol=1e-5)
 
@@ -112,7 +112,7 @@ def test_sky_lies_at_the_distance_asked_for_and_faces_the_camera() -> None:
     sky[:6] = True
     depth[:6] = np.nan
     config = replace(PLAIN, sky_distance_m=150.0)
-    planes, depths = seed_gaussians(IMAGE, depth, sky, ALL, VIEW, config)
+    planes, depths, _ = seed_gaussians(IMAGE, depth, sky, ALL, VIEW, config)
     seeds = NamedParameters(planes)
     assert planes.shape[1] == H * W
     of_sky = torch.from_numpy(sky.ravel())
@@ -132,7 +132,7 @@ def test_no_sky_gaussians_when_not_asked_for(fill: bool) -> None:
     sky = np.zeros((H, W), bool)
     sky[:6] = True
     config = replace(PLAIN, fill_holes=fill)
-    planes, _ = seed_gaussians(IMAGE, depth, sky, ALL, VIEW, config)
+    planes, *_ = seed_gaussians(IMAGE, depth, sky, ALL, VIEW, config)
     assert planes.shape[1] == (H - 6) * W
 
 
@@ -140,7 +140,7 @@ def test_no_sky_gaussians_when_not_asked_for(fill: bool) -> None:
 def test_a_frame_without_any_depth_gives_no_seeds(fill: bool) -> None:
     depth = np.full((H, W), np.nan, np.float32)
     config = replace(PLAIN, fill_holes=fill)
-    planes, depths = seed_gaussians(IMAGE, depth, None, ALL, VIEW, config)
+    planes, depths, _ = seed_gaussians(IMAGE, depth, None, ALL, VIEW, config)
     assert planes.shape == (14, 0)
     assert depths.shape == (0,)
 
@@ -178,7 +178,7 @@ def test_the_margin_goes_on_with_the_borders_depth_and_colour() -> None:
     config = replace(PLAIN, margin=0.1)
     unexplained = np.zeros((H, W + 8), bool)
     unexplained[5, :4], unexplained[7, -4:] = True, True
-    planes, depths = seed_gaussians(IMAGE, depth, None, unexplained, VIEW, config)
+    planes, depths, _ = seed_gaussians(IMAGE, depth, None, unexplained, VIEW, config)
     seeds = NamedParameters(planes)
     places = [(5, 0, -4), (5, 0, -3), (5, 0, -2), (5, 0, -1), *((7, 39, column) for column in range(40, 44))]
     for k, (row, of, column) in enumerate(places):

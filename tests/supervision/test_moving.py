@@ -92,7 +92,7 @@ def test_the_mapper_neither_seeds_nor_learns_there_and_resumes_to_the_bit(tmp_pa
     again = mapper_of([], tmp_path / "broken")
     again.restore(first.state(), keyframes[:4])
     again.add_keyframe(keyframes[4], list(range(5)))
-    assert torch.equal(again._map.planes, whole._map.planes)
+    assert torch.equal(again._map.live.planes, whole._map.live.planes)
 
     pictures = list(again.pictures())
     assert [(what, number) for what, number, _ in pictures] == [("moving", k) for k in range(5)]
@@ -100,7 +100,7 @@ def test_the_mapper_neither_seeds_nor_learns_there_and_resumes_to_the_bit(tmp_pa
     assert mask.any()
     target = again._replay.target(2, half=False)
     assert not bool(target.depth_mask[torch.from_numpy(mask)].any())
-    rendered = again._rasterizer.render(again._map.planes, target.view)
+    rendered = again._rasterizer.render(again._map.live.planes, target.view)
     for gradient in again._losses.evaluate(rendered, target)[1][:2]:
         assert gradient is not None
         at = gradient.reshape(-1, *mask.shape).abs().sum(0).numpy()
