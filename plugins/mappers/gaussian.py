@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
@@ -261,7 +262,7 @@ class GaussianMapper(Mapper):
         if self._last is None:
             return
         self._map.look_from(self._replay.place(self._last.numbers[len(self._last.numbers) // 2]))
-        per_keyframe = self.config.final_coarse_iterations + self.config.final_iterations
+        per_keyframe = math.ceil(self._last.steps / len(self._last.numbers))
         for _ in range(per_keyframe * max(len(due), 1)):
             if self._last.over:
                 break
@@ -275,7 +276,20 @@ class GaussianMapper(Mapper):
         c = self.config
         again = not of_rest and self._schedule.was_frozen(numbers)
         coarse = 0 if again else c.final_coarse_iterations
-        return LastOptimisation(list(numbers), coarse, c.final_iterations, c.refine_stride > 0 and not again, of_rest)
+        seeds = c.refine_stride > 0 and not again
+        return LastOptimisation(list(numbers), self._neighbours(numbers), coarse, c.final_iterations, seeds, of_rest)
+
+    def _neighbours(self, numbers: Sequence[int]) -> list[int]:
+        """Other keyframes, live or on disk, not farther from these than ``live_m``."""
+        c, live = self.config, self._schedule.live
+        if not np.isfinite(c.live_m):
+            return []
+        places = np.array([self._replay.place(number) for number in numbers])
+        near = {number for place in places for number in self._map.keyframes_within(place, c.live_m)}
+        for number in live:
+            if np.linalg.norm(places - self._replay.place(number), axis=1).min() <= c.live_m:
+                near.add(number)
+        return sorted(near.difference(numbers))
 
     def _step_of_last(self, last: LastOptimisation) -> None:
         """One iteration of the last optimisation of some keyframes, with the second seeding at its time."""
