@@ -64,11 +64,10 @@ class GaussianMapperConfig(PluginConfig):
     The run folder gets the masks, ``views/left/moving``."""
     cached_targets: int = 12
     """How many keyframes keep their derived images in memory."""
-    live_m: float = field(default=float("inf"), metadata={"infinite": True})
-    """With a distance here the map is made in chunks: one gets its last iterations when the camera is so many metres
-    away from it (usual: 50), and goes to disk, so that memory and time per frame do not grow with the way. On straight
-    roads the views are as good; where the way winds, the sky of one chunk hangs in the views of another.
-    inf: the whole map stays in memory, and all of it is optimised at the end."""
+    live_m: float = field(default=50.0, metadata={"infinite": True})
+    """The map is made in chunks: one gets its last iterations, with keyframes of its neighbourhood as far as this, when
+    the camera is so many metres away from it, and goes to disk, so that memory and time per frame do not grow with the
+    way. inf: the whole map stays in memory, and all of it is optimised at the end."""
     chunk_m: float = 25.0
     """Metres of the camera's way in a chunk."""
     live_keyframes: int = 200

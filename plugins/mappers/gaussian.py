@@ -35,7 +35,7 @@ from bench.gaussians.pose_refinement import PoseRefinement
 from bench.gaussians.replay import Replay
 from bench.gaussians.schema import OPACITY_LOGIT
 from bench.gaussians.seeding import depth_to_seed_from, seed_gaussians
-from bench.io.array_store import ArrayStore
+from bench.io.array_store import ArrayStore, DamagedError
 from bench.process_memory import MemoryBudget
 from bench.registry import register
 from bench.supervision.appearance import Appearance
@@ -300,7 +300,13 @@ class GaussianMapper(Mapper):
                 self._seed(number, refine=True)
         step = f"last optimisation, iteration {last.done + 1} of {last.steps}"
         number, half = last.next(self._random)
-        self._iterate(number, half, step)
+        try:
+            self._iterate(number, half, step)
+        except DamagedError as error:
+            if number not in last.neighbours:
+                raise
+            log.warning("keyframe %d no longer takes part: %s", number, error)
+            last.neighbours.remove(number)
 
     def _merge_passes(self, numbers: Sequence[int]) -> None:
         """Where the camera has come back, drop Gaussians of these keyframes that an earlier pass has, too: those from
