@@ -13,6 +13,7 @@ from bench.contracts.mapper import CannotRenderError
 from bench.errors import BenchError
 from bench.gaussians.chunk_schedule import ChunkSchedule
 from bench.gaussians.chunked_map import ChunkDrawing, ChunkedMap
+from bench.gaussians.last_optimisation import LastOptimisation
 from bench.gaussians.map import GaussianMap
 from bench.gaussians.schema import LOG_SCALE, MEAN
 from bench.io.array_store import ArrayStore
@@ -125,6 +126,39 @@ def test_what_goes_is_what_lies_nearest_to_its_keyframes(tmp_path: Path) -> None
         distance = np.linalg.norm(planes[MEAN].T.numpy()[:, None].astype(np.float64) - places[None], axis=2)
         assert set(distance.argmin(1).tolist()) <= sides
     assert len(split.live) < 50 * 7
+
+
+def test_the_sky_stays_in_memory_and_is_no_chunks(tmp_path: Path) -> None:
+    split, _ = chunked(ArrayStore(tmp_path))
+    place = poses().T_world_cam[4, :3, 3]
+    split.live.add_sky(place, torch.zeros(14, 6), torch.ones(6))  # where the next chunk is
+    split.freeze([3, 4, 5])
+    assert split.live.sky == 6
+    assert len(split) == 50 * FRAMES + 6
+
+
+def test_a_neighbour_that_is_damaged_no_longer_takes_part(tmp_path: Path) -> None:
+    """It is told, and the run goes on; keyframes of the neighbourhood take turns in a chunk's last iterations."""
+    mapper = started(tmp_path)
+    for k, keyframe in enumerate(street()[1]):
+        mapper.add_keyframe(keyframe, [k])
+    last = mapper._last_optimisation(mapper._schedule.live, of_rest=True)
+    frozen = {number for chunk in mapper._schedule.frozen for number in chunk}
+    assert last.neighbours
+    assert frozen >= set(last.neighbours)
+    rounds = LastOptimisation([1, 2, 3, 4], [7, 8, 9], 20, 20, seeds=False)
+    random = np.random.default_rng(0)
+    turns = [rounds.next(random)[0] for _ in range(rounds.steps)]
+    assert len(turns) == 40 * (4 + 2)
+    assert all(turns.count(number) == 40 for number in (1, 2, 3, 4))
+    assert set(turns) == {1, 2, 3, 4, 7, 8, 9}
+    for number in last.neighbours:
+        for file in tmp_path.glob(f"keyframe-{number:06d}*"):
+            file.write_bytes(b"")
+    mapper._replay.keyframes._decoded.clear()
+    mapper._last = last
+    mapper.finish()
+    assert not last.neighbours
 
 
 def test_chunks_follow_corrections_as_live_gaussians_do(tmp_path: Path) -> None:

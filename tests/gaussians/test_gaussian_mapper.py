@@ -14,8 +14,8 @@ from torch import Tensor
 
 from bench.contracts.loss import LossConfig, TorchLoss
 from bench.errors import BenchError
-from bench.gaussians.parameters import NamedParameters
 from bench.gaussians.map import SKY
+from bench.gaussians.parameters import NamedParameters
 from bench.gaussians.ply import read_ply
 from bench.gaussians.schema import OPACITY_LOGIT
 from bench.gaussians.seeding import SeedingConfig

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from bench.gaussians.map import GaussianMap
+from bench.gaussians.map import SKY, GaussianMap
 from bench.types import Trajectory
 
 AT = {7: 0.0, 3: 10.0, 5: 20.0}
@@ -124,3 +124,35 @@ def test_a_saved_map_is_opened_again(tmp_path: Path) -> None:
     torch.testing.assert_close(loaded.planes, planes, rtol=0, atol=1e-7)
     motion = loaded.follow(Trajectory(pose(3.0)[None], np.array([0]), np.zeros(1)), 0.0, 0.0)
     assert motion.gaussians == 0
+
+
+def with_sky() -> GaussianMap:
+    """As ``marked``, and three Gaussians of the sky that were seen from (5, 0, 0), 200 m ahead."""
+    made = marked()
+    sky = torch.zeros(14, 3)
+    sky[2], sky[3] = 200.0, torch.arange(3.0)
+    made.add_sky(np.array([5.0, 0.0, 0.0]), sky, torch.full((3,), 200.0))
+    return made
+
+
+def test_the_sky_comes_first_and_moves_with_who_looks_at_it() -> None:
+    made = with_sky()
+    assert (made.sky, made.anchor.tolist()) == (3, [SKY] * 3 + [0] * 4 + [1] * 4 + [2] * 4)
+    rest = made.planes[:, 3:].clone()
+    for place in ([0.0, 0.0, 0.0], [7.0, -2.0, 1000.0]):
+        seen = made.seen_from(np.array(place))
+        expected = torch.tensor([place[0] - 5.0, place[1], place[2] + 200.0])
+        torch.testing.assert_close(seen[:3, :3], expected[:, None].expand(3, 3))
+        assert seen[3, :3].tolist() == [0, 1, 2]
+        assert torch.equal(seen[:, 3:], rest)
+    assert followers(made) == {7: [3, 4, 5, 6], 3: [7, 8, 9, 10], 5: [11, 12, 13, 14]}
+
+
+def test_the_sky_of_a_saved_map_is_known_again(tmp_path: Path) -> None:
+    made = with_sky()
+    before = made.seen_from(np.array([3.0, 1.0, 0.0])).clone()
+    made.save(tmp_path / "map.ply")
+    assert GaussianMap.load(tmp_path / "map.ply").sky == 3
+    again = GaussianMap(0, "cpu")
+    again.restore(made.state())
+    assert torch.equal(again.seen_from(np.array([3.0, 1.0, 0.0])), before)
