@@ -49,7 +49,9 @@ class LastOptimisation:
     def next(self, random: np.random.Generator) -> tuple[int, bool]:
         """The keyframe of the next iteration, and whether it is drawn at half resolution; it counts as done."""
         if not self.turns:
-            guests = random.choice(self.neighbours, self._guests, replace=False) if self._guests else []
+            guests: list[int] = (
+                random.choice(self.neighbours, self._guests, replace=False).tolist() if self._guests else []
+            )
             self.turns = random.permutation([*self.numbers, *guests]).tolist()
         half = self.done < self.first_fine
         self.done += 1
