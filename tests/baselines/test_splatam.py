@@ -48,7 +48,7 @@ def planes_after(mapper: SplatamMapper, folder: Path, *keyframes: int) -> torch.
     for k in keyframes:
         mapper.add_keyframe(street()[1][k], range(k + 1))
     mapper.save(folder / "map.ply")
-    return read_ply(folder / "map.ply")
+    return read_ply(folder / "map.ply")[0]
 
 
 def through_a_file(state: Any) -> Any:
