@@ -32,7 +32,7 @@ def test_cells_are_scored_as_the_paper_does_unless_the_user_says_otherwise() -> 
     for name in table_files():
         cell = cells(named_table(name))[0]
         own = "heldout" if name == "unseen" else "paper"
-        assert cell.overrides_with(["seed=1"])[:2] == [f"protocol={own}", "seed=1"]
+        assert {f"protocol={own}", "seed=1"} <= set(cell.overrides_with(["seed=1"]))
         chosen = cell.overrides_with(["protocol=heldout", "protocol.sky=in"])
         assert [each for each in chosen if each.startswith("protocol")] == ["protocol=heldout", "protocol.sky=in"]
     cell = cells(named_table("ablation"))[0]
@@ -57,12 +57,10 @@ def test_withheld_cells_say_so() -> None:
     blocked = {cell.column for cell in cells(named_table("main_kitti360")) if cell.blocked}
     assert blocked == {"0008"}
     assert not any(cell.blocked for cell in cells(named_table("main_kitti")))
-    # Published methods without a system of ours have nothing to run.
-    assert {cell.row for cell in cells(named_table("memory"))} == {"BGS-SLAM (Ours)", "bgs_slam", "bgs_slam_fast"}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["main_kitti", "ablation", "backbones", "readings"])
+@pytest.mark.parametrize("name", ["main_kitti", "ablation", "backbones", "mixed", "readings"])
 def test_what_hydra_composes_belongs_to_its_own_row_alone(name: str) -> None:
     table = named_table(name)
     for row in table.rows:
@@ -110,7 +108,9 @@ def test_overrides_hold_or_not() -> None:
         "dataset": {"name": "kitti", "sequence": "03"},
         "loss": {"rgb": {"weight": 0.8}, "geo": {"stride": 2, "edge_weighted": False}},
         "system": "bgs_slam",
+        "tracker": {"name": "splatam", "iterations": 3},
     }
+    assert holds(config, "tracker=splatam_tum"), "a preset whose settings were changed"
     true = ("dataset=kitti", "dataset.sequence=3", "loss=[geo,rgb]", "loss.geo.stride=2", "loss.rgb.weight=0.80")
     for override in (*true, "loss.geo.edge_weighted=false", "system=bgs_slam"):
         assert holds(config, override), override
@@ -128,6 +128,7 @@ def test_unknown_tables_are_named() -> None:
         "main_kitti",
         "main_kitti360",
         "memory",
+        "mixed",
         "readings",
         "runtime",
         "unseen",

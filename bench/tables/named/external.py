@@ -13,8 +13,8 @@ from bench.tables.named.definitions import MethodRow, NamedTable
 def with_external_rows(table: NamedTable, configs: Iterable[Mapping[str, Any]]) -> NamedTable:
     """The table with a row below its own for each other system that has none, in alphabetical order.
 
-    A system that the paper's table has (MonoGS) fills that row. Tables of variants of one system (the ablation) have no
-    place for others.
+    One that is called like a row of ours (MonoGS) is compared to the same number of the paper. Tables of variants of
+    one system (the ablation) have no place for others.
     """
     if table.across != "sequences":
         return table
@@ -22,8 +22,9 @@ def with_external_rows(table: NamedTable, configs: Iterable[Mapping[str, Any]]) 
     names = {name for config in configs if (name := external_name(config)) is not None}
     for name in sorted(names, key=str.lower):
         if not any(is_of_external(row, name) for row in rows):
-            taken = any(same_system(name, row.label) for row in rows)
-            rows.append(MethodRow(_apart(name) if taken else name))
+            namesake = next((row for row in rows if same_system(name, row.label)), None)
+            of_paper = namesake.published or namesake.compared_with if namesake else ""
+            rows.append(MethodRow(_apart(name) if namesake else name, compared_with=of_paper))
     return replace(table, rows=tuple(rows))
 
 

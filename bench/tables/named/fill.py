@@ -250,8 +250,13 @@ def _state_of(runs: list[RunRecord]) -> str:
     return next((state for state in order if state in states), "not scored")
 
 
+# These come with a mapper of another system.
+_OF_A_FAMILY = ("tracker", "keyframer", "sky")
+
+
 def differences(filled: FilledTable) -> list[str]:
-    """Settings in which cells differ that are compared, and should not: down a row of sequences, and between rows."""
+    """Settings in which cells differ that are compared, and should not: down a row of sequences, and between rows;
+    those of tracker, keyframer and sky between rows of the same mapper."""
     varied = varied_parts(filled.table)
     found: set[str] = set()
     for row in filled.table.rows:
@@ -261,7 +266,12 @@ def differences(filled: FilledTable) -> list[str]:
     # Other systems share no more than the data and the protocol with ours.
     of_all = [_data_and_protocol(cell.settings) for cell in filled.cells.values()]
     found.update(differing_keys(of_all))
-    found.update(key for key in differing_keys(everywhere) if key.split(".")[0] not in varied)
+    found.update(key for key in differing_keys(everywhere) if key.split(".")[0] not in {*varied, *_OF_A_FAMILY})
+    families: dict[str, list[Settings]] = defaultdict(list)
+    for settings in everywhere:
+        families[settings.get("mapper.name", "")].append(settings)
+    for family in families.values():
+        found.update(key for key in differing_keys(family) if key.split(".")[0] in {*_OF_A_FAMILY} - varied)
     texts = []
     for key in sorted(found):
         cells = [cell for cell in filled.cells.values() if key in cell.settings or not _is_external(cell)]

@@ -233,13 +233,16 @@ def _static_camera(filled: FilledTable) -> list[Line]:
             continue
         _, error, is_part = max(known, key=lambda item: item[0])
         cells.append(Cell(in_digits(error, metric), mark=DAGGER if is_part else "", value=error))
+    name = f"{STATIC_CAMERA}, frames of our runs"
+    if table.across == "metrics":
+        return [Line(COMPUTED, name, None, tuple(cells[0] if each is metric else Cell() for each in table.metrics))]
     values = [cell.value for cell in cells if cell.value is not None]
     average = Cell()
     if len(values) == len(cells):
         mean = sum(values) / len(values)
         mark = DAGGER if any(cell.mark for cell in cells) else ""
         average = Cell(in_digits(mean, metric), mark=mark, value=mean)
-    return [Line(COMPUTED, f"{STATIC_CAMERA}, frames of our runs", metric, (*cells, average))]
+    return [Line(COMPUTED, name, metric, (*cells, average))]
 
 
 def _mark_best(blocks: Sequence[list[Line]], by: str, metrics: Sequence[Metric]) -> list[list[Line]]:

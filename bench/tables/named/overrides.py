@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
+import yaml  # type: ignore[import-untyped]  # comes with omegaconf
+
+from bench.installed_data import config_folder
 from bench.runs.system_name import external_name
 from bench.tables.named.definitions import MethodRow, NamedTable
 from bench.tables.named.external import is_of_external
@@ -13,8 +17,9 @@ from bench.tables.named.external import is_of_external
 def holds(config: Mapping[str, Any], override: str) -> bool:
     """Whether ``override`` (``stereo=sgbm``, ``loss=[rgb,ssim]``, ``loss.geo.stride=2``) is true of a resolved config.
 
-    A part of the config is compared by its name, parts of which a run uses several by the set of their names. A key
-    that the config lacks makes the answer False.
+    A part of the config is compared by its name, parts of which a run uses several by the set of their names; a preset
+    (``tracker=splatam_tum``) is as good as its plugin, since its settings may be changed. A key that the config lacks
+    makes the answer False.
     """
     key, _, wanted = override.partition("=")
     value: Any = config
@@ -25,8 +30,19 @@ def holds(config: Mapping[str, Any], override: str) -> bool:
     if isinstance(value, Mapping):
         if wanted.startswith("["):
             return set(value) == set(wanted.strip("[]").split(","))
-        value = value.get("name")
+        value, wanted = value.get("name"), _plugin_of(key, wanted)
     return _equal(value, wanted)
+
+
+@cache
+def _plugin_of(kind: str, name: str) -> str:
+    """The plugin that a preset of this kind configures; ``name`` itself where there is no such preset."""
+    file = config_folder() / kind / f"{name}.yaml"
+    if kind == "system" or not file.is_file():
+        return name
+    defaults = yaml.safe_load(file.read_text("utf-8")).get("defaults", [])
+    base = next((each for each in defaults if isinstance(each, str) and each != "_self_"), name)
+    return base if base == name else _plugin_of(kind, base)
 
 
 def row_of(table: NamedTable, config: Mapping[str, Any]) -> tuple[str, str] | None:
