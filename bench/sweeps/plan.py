@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -73,15 +73,18 @@ def arguments_of(planned: PlannedRun) -> list[str]:
 def make_plan(table: NamedTable, overrides: Sequence[str], seeds: Sequence[int]) -> Plan:
     """Expand the table's cells by ``seeds``; ``overrides`` (Hydra syntax) hold for all cells but where a cell differs.
 
+    Those of one plugin (``tracker.splatam.iterations=10``) hold for the cells that use it.
     The first seed of every cell comes first, and within a seed the sequences with the fewest frames. ``output=`` names
     the folder that gets the run folders. Raises ``BenchError`` for overrides that are wrong or that would take a run
     out of its cell, and where no cell can be run, with the reason of the first.
     """
     of_table = cells(table)
     common, root = _split_output(_checked(overrides, table.name, of_table))
+    common, of_plugins = _split_plugins(common)
     runs: list[PlannedRun] = []
     skipped: list[Skipped] = []
     known: dict[str, int | str] = {}
+    used: set[tuple[str, str, str]] = set()
     measuring = any(metric.unit in ("s/frame", "GB") for metric in table.metrics)
     for cell in of_table:
         reason = cell.blocked or _without_plugin(cell)
@@ -89,11 +92,21 @@ def make_plan(table: NamedTable, overrides: Sequence[str], seeds: Sequence[int])
             skipped.append(Skipped(cell, reason))
             continue
         config = _compose(table, cell, common)
-        frames = _unavailable(config, known) or _frames(config, known)
-        if isinstance(frames, str):
-            skipped.append(Skipped(cell, frames))
+        of_cell = [each for each in of_plugins if config.plugin(each[0]).name == each[1]]
+        used.update(of_cell)
+        chosen = [*common, *(override for _, _, override in of_cell)]
+        # A sequence that has no more frames than the cell's part is run whole.
+        for tried in (cell, replace(cell, part=())) if cell.part else (cell,):
+            config = _compose(table, tried, chosen) if of_cell or tried is not cell else config
+            frames = _unavailable(config, known) or _frames(config, known)
+            if not isinstance(frames, str):
+                runs += [_planned(tried, seed, config, root, chosen, frames, measuring) for seed in seeds]
+                break
         else:
-            runs += [_planned(cell, seed, config, root, common, frames, measuring) for seed in seeds]
+            skipped.append(Skipped(cell, str(frames)))
+    for kind, plugin, override in set(of_plugins) - used:
+        given = override.replace(f"{kind}.", f"{kind}.{plugin}.", 1)
+        raise BenchError(f"{given}: no row of {table.name} that can be run has {kind}={plugin}. Leave it out.")
     if not runs and skipped:
         raise BenchError(f"No cell of {table.name} can be run: {skipped[0].reason}")
     order = {seed: position for position, seed in enumerate(seeds)}
@@ -127,6 +140,19 @@ def _split_output(overrides: list[str]) -> tuple[list[str], Path]:
         else:
             rest.append(parsed.input_line or "")
     return rest, root
+
+
+def _split_plugins(overrides: Sequence[str]) -> tuple[list[str], list[tuple[str, str, str]]]:
+    """The overrides for all, and those of one plugin: its kind, its name, and ``kind.setting=value``."""
+    of_all: list[str] = []
+    of_plugins: list[tuple[str, str, str]] = []
+    for each in overrides:
+        kind, *names = each.partition("=")[0].split(".")
+        if len(names) > 1 and kind not in SEVERAL_AT_ONCE and kind in RUN_KINDS and names[0] in registry.names(kind):
+            of_plugins.append((kind, names[0], each.replace(f".{names[0]}.", ".", 1)))
+        else:
+            of_all.append(each)
+    return of_all, of_plugins
 
 
 def _without_plugin(cell: Cell) -> str:

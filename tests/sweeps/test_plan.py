@@ -30,16 +30,32 @@ SMALL = ("mapper.iterations=3", "tracker=groundtruth")
 
 @pytest.mark.slow
 def test_first_seed_of_every_cell_first_and_short_sequences_before_long_ones(kitti: Path) -> None:
-    """06 has 2 frames and 03 has 4; four rows of the table have runs of ours."""
+    """06 has 2 frames and 03 has 4; all ten rows of the table have runs of ours, six of them of 300 frames at most."""
     table = named_table("main_kitti")
     table = replace(table, sequences={name: table.sequences[name] for name in ("03", "05", "06")})
     plan = make_plan(table, [f"dataset.root={kitti}"], [1, 0])
     order = [(run.seed, run.cell.column, run.frames) for run in plan.runs]
-    assert order == [(1, "06", 2)] * 4 + [(1, "03", 4)] * 4 + [(0, "06", 2)] * 4 + [(0, "03", 4)] * 4
-    rows = ["BGS-SLAM (LiDAR)", "BGS-SLAM (Ours)", "bgs_slam", "bgs_slam_fast"]
-    assert [run.cell.row for run in plan.runs[:4]] == rows
+    assert order == [each for seed in (1, 0) for place in (("06", 2), ("03", 4)) for each in [(seed, *place)] * 10]
+    rows = ["Point-SLAM", "SplaTAM", "MonoGS", "BGS-SLAM (LiDAR)", "BGS-SLAM (Ours)", "bgs_slam", "bgs_slam_fast"]
+    rows += ["point_slam_outdoor", "splatam_outdoor", "monogs_outdoor"]
+    assert [run.cell.row for run in plan.runs[:10]] == rows
     assert {(skipped.cell.row, skipped.cell.column) for skipped in plan.skipped} == {(row, "05") for row in rows}
     assert all("does not exist" in skipped.reason for skipped in plan.skipped)
+
+
+@pytest.mark.slow
+def test_settings_of_one_plugin_hold_for_the_rows_that_use_it(kitti: Path) -> None:
+    """And a part of a sequence is what the user says; a setting that no row takes is a mistake."""
+    table = named_table("main_kitti")
+    rows = tuple(row for row in table.rows if row.label in ("SplaTAM", "bgs_slam"))
+    table = replace(table, sequences={"03": table.sequences["03"]}, rows=rows)
+    common = [f"dataset.root={kitti}", "tracker.splatam.iterations=3", "mapper.gaussian.iterations=2"]
+    splatam, ours = make_plan(table, common, [0]).runs
+    assert (splatam.config.values["tracker"]["iterations"], splatam.config.values["mapper"]["iterations"]) == (3, 60)
+    assert ours.config.values["mapper"]["iterations"] == 2
+    assert make_plan(table, [*common, "dataset.frames=0:1"], [0]).runs[0].frames == 1
+    with pytest.raises(BenchError, match=r"tracker\.monogs\.iterations=3: no row of main_kitti that can be run has trac"):
+        make_plan(table, [*common, "tracker.monogs.iterations=3"], [0])
 
 
 @pytest.mark.slow
@@ -172,7 +188,7 @@ def test_an_experiment_is_one_list_of_overrides_a_cell() -> None:
     assert ["sky=none" in each for each in lists] == [True] + [False] * 6
     assert [overrides for _, overrides in expand_experiment(["seed=0,1"])] == [["seed=0,1"]]
     # Of the six sequences of KITTI-360 the images of one are withheld.
-    assert len(expand_experiment(["experiment=main_kitti360"])) == 4 * 5
+    assert len(expand_experiment(["experiment=main_kitti360"])) == 10 * 5
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from bench.tables.named.definitions import MethodRow, cells
 from bench.tables.named.find import named_table, table_files
 from bench.tables.named.overrides import belongs, holds, row_of
 from bench.tables.records.folder import read_folder
+from bench.tables.records.settings import settings_of
 
 
 def test_cells_of_the_ablation() -> None:
@@ -50,7 +51,7 @@ def test_rows_on_part_of_a_sequence_are_so_unless_the_user_chooses_frames() -> N
     assert [each for each in cell.overrides_with(["dataset.frames=0:10"]) if "frames" in each] == [
         "dataset.frames=0:10"
     ]
-    assert not cells(replace(table, part=()))[0].defaults[1:]
+    assert not cells(replace(table, part=()))[0].part
 
 
 def test_withheld_cells_say_so() -> None:
@@ -63,11 +64,16 @@ def test_withheld_cells_say_so() -> None:
 @pytest.mark.parametrize("name", ["main_kitti", "ablation", "backbones", "mixed", "readings"])
 def test_what_hydra_composes_belongs_to_its_own_row_alone(name: str) -> None:
     table = named_table(name)
+    sequence, chosen = next(iter(table.sequences.items()))
     for row in table.rows:
         if row.overrides is None:
             continue
-        composed = compose_run(["dataset=kitti", "dataset.sequence=3", "dataset.root=/nowhere", *row.overrides]).values
-        assert row_of(table, composed) == (row.label, "03")
+        composed = compose_run(["dataset=kitti", *chosen, "dataset.root=/nowhere", *row.overrides]).values
+        assert row_of(table, composed) == (row.label, sequence)
+        flat = settings_of(composed)
+        assert {key: flat[key] for key in (each.split("=")[0] for each in row.iterations)} == dict(
+            each.split("=") for each in row.iterations
+        ), "the iterations that the method has"
         assert [other.label for other in table.rows if belongs(other, composed)] == [row.label]
         # An ablation on other data is no cell of this table.
         assert row_of(table, composed | {"dataset": {"name": "street", "sequence": "03"}}) is None

@@ -77,8 +77,8 @@ class Cell:
     """What has to be run for a place in the table: ``row`` is a method's label, ``column`` a sequence.
 
     ``overrides`` are those of ``bgs-bench run``, without the seed and without where the data set lies. ``blocked``
-    says why nobody can run it, or is empty. ``defaults`` hold where the user does not say otherwise. ``source`` says
-    where the row is defined.
+    says why nobody can run it, or is empty. ``defaults`` hold where the user does not say otherwise, and so does
+    ``part``, which chooses a part of a sequence that has more. ``source`` says where the row is defined.
     """
 
     row: str
@@ -87,11 +87,13 @@ class Cell:
     blocked: str = ""
     defaults: tuple[str, ...] = ()
     source: str = ""
+    part: tuple[str, ...] = ()
 
     def overrides_with(self, common: Sequence[str]) -> list[str]:
         """What a run of this cell is composed of, with a user's overrides ``common`` that are for all cells."""
         chosen = {each.partition("=")[0] for each in common}
-        return [*(each for each in self.defaults if each.partition("=")[0] not in chosen), *common, *self.overrides]
+        own = (each for each in (*self.defaults, *self.part) if each.partition("=")[0] not in chosen)
+        return [*own, *common, *self.overrides]
 
 
 def cells(table: NamedTable) -> list[Cell]:
@@ -105,8 +107,9 @@ def cells(table: NamedTable) -> list[Cell]:
             sequence,
             (f"dataset={table.dataset}", *chosen, *row.overrides),
             table.facts_of(sequence).withheld,
-            (f"protocol={table.protocol}", *(table.part if row.on_part else ())),
+            (f"protocol={table.protocol}",),
             f"{table.file}, row '{row.label}'",
+            table.part if row.on_part else (),
         )
         for row in table.rows
         if row.overrides is not None
