@@ -54,7 +54,9 @@ def test_settings_of_one_plugin_hold_for_the_rows_that_use_it(kitti: Path) -> No
     assert (splatam.config.values["tracker"]["iterations"], splatam.config.values["mapper"]["iterations"]) == (3, 60)
     assert ours.config.values["mapper"]["iterations"] == 2
     assert make_plan(table, [*common, "dataset.frames=0:1"], [0]).runs[0].frames == 1
-    with pytest.raises(BenchError, match=r"tracker\.monogs\.iterations=3: no row of main_kitti that can be run has trac"):
+    with pytest.raises(
+        BenchError, match=r"tracker\.monogs\.iterations=3: no row of main_kitti that can be run has trac"
+    ):
         make_plan(table, [*common, "tracker.monogs.iterations=3"], [0])
 
 
