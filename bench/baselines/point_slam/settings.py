@@ -71,8 +71,8 @@ class PointSlamMapperConfig(PluginConfig):
         require_least("mapper", self, color_weight=0, behind_m=0, refinement_rounds=0)
         require_between("mapper", self, 0, 1, "geometry_share", "geometry_rate", "color_stage_rate", "decoder_rate")
         require_between("mapper", self, 0, 0.5, "layer_share")
-        if self.window > self.rays:
-            raise BenchError(f"mapper.rays={self.rays} gives some of mapper.window={self.window} frames none.")
+        if 2 * self.window > self.rays:
+            raise BenchError(f"mapper.rays={self.rays} are too few for twice mapper.window={self.window} frames.")
         low, high = self.depth_range_m
         if not 0 <= low < high:
             raise BenchError(f"mapper.depth_range_m=[{low},{high}] must begin at 0 or above, and end higher.")
