@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +16,7 @@ from bench.evaluation.dialects.catalogue import DIALECTS
 from bench.evaluation.dialects.dialect import Dialect
 from bench.evaluation.dialects.view import METRICS, Scores, score_view
 from bench.evaluation.run_trajectory import estimate_and_truth
+from bench.evaluation.trajectory import common_frames
 from bench.registry import PluginConfig, register
 
 VIEWS = ("own", "all")
@@ -106,10 +107,18 @@ def _views_of_each(run: SavedRun, which: str) -> dict[str, set[int]]:
 
 
 def _ate(run: SavedRun, dialect: Dialect) -> float | str:
+    """Of poses relative to the first frame that both have, as SplaTAM has them; others do not care."""
     found = estimate_and_truth(run)
     if isinstance(found, str):
         return found
-    return dialect.ate_m(*found, np.array(run.numbers("left", "train"), dtype=np.int64))
+    _, *rows = common_frames(*found)
+    relative = [
+        replace(poses, T_world_cam=np.linalg.inv(poses.T_world_cam[of_both[0]]) @ poses.T_world_cam)
+        if len(of_both)
+        else poses
+        for poses, of_both in zip(found, rows, strict=True)
+    ]
+    return dialect.ate_m(relative[0], relative[1], np.array(run.numbers("left", "train"), dtype=np.int64))
 
 
 def _gaps(dialect: Dialect, scores: Sequence[Scores]) -> list[str]:

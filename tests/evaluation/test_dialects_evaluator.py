@@ -5,17 +5,20 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import cv2
 import numpy as np
 import pytest
 
-from bench.contracts.saved_run import LpipsMetric
+from bench.contracts.saved_run import LpipsMetric, SavedRun
 from bench.errors import BenchError
+from bench.evaluation.dialects import splatam
 from bench.evaluation.run_evaluators import evaluate_run
 from bench.runs.folder import picture_path
-from bench.types import Map
+from bench.types import Map, Trajectory
+from plugins.evaluators import dialects as evaluator
 from tests.evaluation.tiny_run import HEIGHT, LEFT_ERROR, NUMBERS, WIDTH, TinyConfig, TinyDataset, write_tiny_run
 
 
@@ -154,3 +157,18 @@ def test_masked_lpips_sees_black_where_no_depth_is_known(
     assert dialects["splatam"]["lpips"] == pytest.approx(mean_error / 2)
     assert seen.count(True) == 4, "SplaTAM's"
     assert seen.count(False) == (8 if place else 4)
+
+
+def test_splatams_columns_are_of_poses_relative_to_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A turning path seen from a world 20 m away has no error, although its own columns differ from those."""
+    angle = 0.3 * np.arange(6)
+    T = np.tile(np.eye(4), (6, 1, 1))
+    T[:, 0, 0], T[:, 0, 2], T[:, 2, 0], T[:, 2, 2] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
+    T[:, :3, 3] = np.c_[angle, 0 * angle, angle**2]
+    away = np.eye(4)
+    away[:3, 3] = (-12.0, 15.0, -8.0)
+    truth, estimate = (Trajectory(poses, np.arange(6), 0.1 * np.arange(6)) for poses in (away @ T, T))
+    assert splatam.ate_m(estimate, truth, np.arange(6)) > 1.0
+    monkeypatch.setattr(evaluator, "estimate_and_truth", lambda run: (estimate, truth))
+    run = cast(SavedRun, SimpleNamespace(numbers=lambda *_: list(range(6))))
+    assert evaluator._ate(run, splatam.SPLATAM) == pytest.approx(0.0, abs=1e-9)
