@@ -46,7 +46,7 @@ _DSSIM = 0.2
 # Bytes a pixel: image and depth in float32, and where depth is known.
 _KEPT_BYTES = 17
 # Gaussians that a frame adds for each pixel, and the program with what it imports.
-_GROWTH, _PROGRAM_GB = 0.1, 0.5
+_GROWTH, _PROGRAM_GB = 0.06, 0.45
 # A keyframe's pose that the tracker corrects by less leaves the map where it is.
 _FOLLOW_M, _FOLLOW_DEG = 0.01, 0.05
 
