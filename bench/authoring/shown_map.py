@@ -23,6 +23,8 @@ class ShownMap:
         position = self._dataset.numbers.index(frame.number)
         depth = self._dataset.true_depth(position)
         if depth is None:
+            depth = self._dataset.sensor_depth(position)
+        if depth is None:
             return
         self.mapper.update_poses(poses)
         sky = self._dataset.true_sky(position)
