@@ -428,3 +428,19 @@ def test_a_first_keyframe_without_depth_makes_an_empty_map() -> None:
     mapper.add_keyframe(blind[1], [0, 1])
     mapper.finish()
     assert mapper.size()["gaussians"] > 0
+
+
+def test_gaussians_move_with_keyframes_that_the_tracker_corrects() -> None:
+    mapper = small_mapper(first_iterations=2, iterations=1)
+    for k, keyframe in enumerate(keyframes(2)):
+        mapper.add_keyframe(keyframe, range(k + 1))
+    before, refined = mapper.state()["map"], mapper.view().refined_pose(1)
+    assert refined is not None
+    numbers, times = np.array([0, 1]), np.zeros(2)
+    mapper.update_poses(Trajectory(np.stack([np.eye(4), refined]), numbers, times))
+    assert torch.equal(mapper.state()["map"]["planes"], before["planes"])
+    mapper.update_poses(Trajectory(np.stack([np.eye(4), at_x(1.0) @ refined]), numbers, times))
+    shift = mapper.state()["map"]["planes"][:3] - before["planes"][:3]
+    expected = (before["anchor"] == 1).float()
+    np.testing.assert_allclose(shift.numpy(), [expected.numpy(), 0 * expected.numpy(), 0 * expected.numpy()], atol=1e-5)
+    np.testing.assert_allclose(mapper.view().refined_pose(1), at_x(1.0) @ refined, atol=1e-9)
