@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _COLUMNS = ("planes", "first_moment", "second_moment", "birth_depth", "anchor")
 SKY = -2
 """``anchor`` of the sky's Gaussians."""
+_SKY_STEP_M = 1 / 256
 _SPARE = 1.25
 """Columns get so many times the room that they need when they outgrow theirs."""
 
@@ -244,11 +245,16 @@ class GaussianMap:
         return loaded
 
     def _look_from(self, place: Float) -> None:
-        """Move the sky to about ``place`` (3,)."""
-        if (place != self._sky_about).any():
-            shift = torch.from_numpy((place - self._sky_about).astype(np.float32)).to(self.device)
-            self.planes[MEAN, : self.sky] += shift[:, None]
-            self._sky_about = place.copy()
+        """Move the sky to about ``place`` (3,), to the nearest step of ``_SKY_STEP_M``.
+
+        In such steps float32 adds without rounding, as far as 64 km: the way to a place makes no difference.
+        """
+        about = np.round(place / _SKY_STEP_M) * _SKY_STEP_M
+        if (about != self._sky_about).any():
+            shift = torch.from_numpy((about - self._sky_about).astype(np.float32)).to(self.device)
+            means = self.planes[MEAN, : self.sky]
+            means.copy_((means / _SKY_STEP_M).round() * _SKY_STEP_M + shift[:, None])
+            self._sky_about = about
 
     def _append(self, planes: Tensor, depths: Tensor, anchor: Tensor) -> None:
         missing = len(self.planes) - len(planes)

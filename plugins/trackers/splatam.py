@@ -37,7 +37,7 @@ class SplatamTrackerConfig(PluginConfig):
     """Weight of the sum of depth errors, in metres."""
     color_weight: float = 0.5
     """Weight of the sum of colour errors, of 0 to 1 in each channel."""
-    retry_loss: float = field(default=0.0, metadata={"infinite": True})
+    retry_loss: float = 0.0
     """A frame gets as many steps again where the weighted depth loss of the last one is not below this (0: never);
     SplaTAM has 20000 for ScanNet++."""
     max_depth_m: float = field(default=float("inf"), metadata={"infinite": True})

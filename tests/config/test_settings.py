@@ -101,6 +101,7 @@ def test_not_a_number_is_below_any_least_value() -> None:
 MAY_BE_INFINITE = {
     *("mapper.follow_corrections_m", "mapper.follow_corrections_deg"),  # the map never follows then
     *("mapper.live_m", "mapper.chunk_memory_mb"),  # all of it stays in memory
+    *("tracker.max_depth_m", "mapper.max_depth_m", "mapper.prune_scale_m", "mapper.prune_radius_px"),  # no limit
 }
 MAY_BE_NEGATIVE = {"stereo.gain", "stereo.mean"}
 """Networks that give the flow have negative disparities, and colours reach from -1 to 1."""

@@ -140,11 +140,14 @@ def test_the_sky_comes_first_and_moves_with_who_looks_at_it() -> None:
     assert (made.sky, made.anchor.tolist()) == (3, [SKY] * 3 + [0] * 4 + [1] * 4 + [2] * 4)
     rest = made.planes[:, 3:].clone()
     for place in ([0.0, 0.0, 0.0], [7.0, -2.0, 1000.0]):
-        seen = made.seen_from(np.array(place))
+        seen = made.seen_from(np.array(place)).clone()
         expected = torch.tensor([place[0] - 5.0, place[1], place[2] + 200.0])
         torch.testing.assert_close(seen[:3, :3], expected[:, None].expand(3, 3))
         assert seen[3, :3].tolist() == [0, 1, 2]
         assert torch.equal(seen[:, 3:], rest)
+    for random in np.random.default_rng(0).uniform(-3000, 3000, (100, 3)):
+        made.seen_from(random)  # the way here makes no difference
+    assert torch.equal(made.seen_from(np.array(place)), seen)
     assert followers(made) == {7: [3, 4, 5, 6], 3: [7, 8, 9, 10], 5: [11, 12, 13, 14]}
 
 

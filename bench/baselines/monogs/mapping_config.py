@@ -39,7 +39,7 @@ class MonoGSMapperConfig(PluginConfig):
     """Variance of a new Gaussian, as a share of the mean squared distance to its three nearest neighbours."""
     adaptive_point_size: bool = True
     """Whether the share is ``point_size`` for each metre of median depth, 0.05 at most."""
-    max_depth_m: float = 100.0
+    max_depth_m: float = field(default=100.0, metadata={"infinite": True})
     """Depth beyond this counts as unknown."""
     position_rate: float = 9.6e-4
     """Adam's rate of positions, in metres a step, at first ..."""
