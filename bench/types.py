@@ -59,6 +59,15 @@ class StereoCamera:
         T[:3, 3] = self.right_position
         return T
 
+    def scaled(self, scale: float) -> StereoCamera:
+        """The camera of the same images with sides ``scale`` times as long, to the nearest pixel."""
+        if scale == 1:
+            return self  # to the last bit
+        width, height = (max(1, round(scale * side)) for side in (self.width, self.height))
+        x, y = width / self.width, height / self.height
+        cx, cy = (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5
+        return StereoCamera(width, height, self.fx * x, self.fy * y, cx, cy, self.right_position)
+
 
 @dataclass(frozen=True)
 class PinholeView:

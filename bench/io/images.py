@@ -215,6 +215,13 @@ def read_16_bit(path: Path, size: tuple[int, int], what: str) -> npt.NDArray[np.
     return np.asarray(stored, np.uint16)
 
 
+def shrunk(image: Image, size: tuple[int, int]) -> Image:
+    """The image (H, W, 3) at ``size`` (width, height), by the mean over areas; of this size already, itself."""
+    if (image.shape[1], image.shape[0]) == size:
+        return image
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def grey(image: Image) -> Image:
     """(H, W) uint8 luma of an RGB image (H, W, 3); a grey image passes through."""
     return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from bench.errors import BenchError
-from bench.io.images import ImageSequence, read_16_bit, require_one_size
+from bench.io.images import ImageSequence, read_16_bit, require_one_size, shrunk
 from bench.types import Image, Map, StereoCamera
 
 _PLAUSIBLE_M = (0.01, 200.0)
@@ -77,10 +77,7 @@ class RgbdImages:
         self._distortion = np.array(intrinsics.distortion)
         fx, fy, cx, cy = astuple(intrinsics)[:4]
         self._K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        width, height = (max(1, round(scale * side)) for side in self._size)
-        x, y = width / self._size[0], height / self._size[1]
-        cx, cy = (cx + 0.5) * x - 0.5, (cy + 0.5) * y - 0.5
-        self.camera = StereoCamera(width, height, fx=fx * x, fy=fy * y, cx=cx, cy=cy, right_position=(0.0, 0.0, 0.0))
+        self.camera = StereoCamera(*self._size, fx, fy, cx, cy, right_position=(0.0, 0.0, 0.0)).scaled(scale)
         self.remarks = (*self._images.remarks, *self._doubt_about_factor())
 
     def color(self, position: int) -> Image:
@@ -88,24 +85,18 @@ class RgbdImages:
         image = self._images.read(self._color[position])
         if self._distortion.any():
             image = np.asarray(cv2.undistort(image, self._K, self._distortion), np.uint8)
-        if self._is_scaled:
-            image = np.asarray(cv2.resize(image, self._scaled, interpolation=cv2.INTER_AREA), np.uint8)
-        return image
+        return shrunk(image, self._scaled)
 
     def depth(self, position: int) -> Map:
         """(H, W) float32 metres as the sensor gave them, NaN where it gave none (0)."""
         stored = read_16_bit(self._depth[position], self._size, "RGB-D data sets store depth")
-        if self._is_scaled:
+        if self._scaled != self._size:
             stored = np.asarray(cv2.resize(stored, self._scaled, interpolation=cv2.INTER_NEAREST_EXACT), np.uint16)
         return np.where(stored > 0, stored / np.float32(self._factor), np.float32(np.nan)).astype(np.float32)
 
     @property
     def _scaled(self) -> tuple[int, int]:
         return self.camera.width, self.camera.height
-
-    @property
-    def _is_scaled(self) -> bool:
-        return self._scaled != self._size
 
     def _doubt_about_factor(self) -> list[str]:
         known = self.depth(0)

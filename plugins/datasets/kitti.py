@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from bench.contracts.dataset import Dataset
-from bench.errors import BenchError, require_choice
+from bench.errors import BenchError, require_between, require_choice
 from bench.geometry.lidar import project_to_depth
 from bench.io.frame_range import describe, select_frames
-from bench.io.images import IMAGE_SUFFIXES, ImageSequence, describe_files
+from bench.io.images import IMAGE_SUFFIXES, ImageSequence, describe_files, shrunk
 from bench.io.kitti360_files import read_image_times
 from bench.io.kitti_files import KittiCalibration, read_kitti_times
 from bench.io.scans import check_scan_file, read_scan
@@ -38,9 +38,12 @@ class KittiConfig(PluginConfig):
     """Frame numbers ``a:b`` or ``a:b:step``; empty: all."""
     camera: str = "color"
     """color (image_2 and image_3) or gray (image_0 and image_1)."""
+    scale: float = 1.0
+    """Sides of the images as they are used over the stored ones."""
 
     def __post_init__(self) -> None:
         require_choice("dataset.camera", self.camera, _PAIRS)
+        require_between("dataset", self, 0.05, 1.0, "scale")
 
 
 @register("dataset", "kitti", config=KittiConfig)
@@ -69,14 +72,15 @@ class Kitti(Dataset):
         self._poses = self._read_poses(root / "poses" / f"{sequence}.txt")
         chosen = [side[number] for number in self.numbers for side in (self._left, self._right)]
         self._images = ImageSequence(chosen, [*self._left.values(), *self._right.values()])
-        self.camera = _stereo_camera(calibration, left, right, self._images.size)
+        self.camera = _stereo_camera(calibration, left, right, self._images.size).scaled(config.scale)
         self.remarks = (*self._images.remarks, *self._about_poses())
 
     def frame(self, position: int) -> StereoFrame:
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
         number = self.numbers[position]
         left, right = (self._images.read(side[number]) for side in (self._left, self._right))
-        return StereoFrame(number, float(self._times[position]), left, right)
+        size = (self.camera.width, self.camera.height)
+        return StereoFrame(number, float(self._times[position]), shrunk(left, size), shrunk(right, size))
 
     def ground_truth(self) -> Trajectory | None:
         """Official poses of the left camera of the pair, or None for the sequences that have none (11 to 21).

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from bench.contracts.dataset import Dataset
-from bench.errors import BenchError
+from bench.errors import BenchError, require_between
 from bench.geometry import se3
 from bench.geometry.lidar import project_to_depth
 from bench.geometry.scan_motion import compensate_motion
 from bench.io.frame_range import describe, select_frames
-from bench.io.images import ImageSequence
+from bench.io.images import ImageSequence, shrunk
 from bench.io.kitti360_files import Kitti360Calibration, NumberedPoses, read_cam0_poses, read_image_times
 from bench.io.scans import check_scan_file, read_scan
 from bench.registry import PluginConfig, register
@@ -48,10 +48,13 @@ class Kitti360Config(PluginConfig):
     have a pose before and behind them, with a ground truth between the two."""
     uncurl: bool = True
     """Undo the car's motion during a turn of the LiDAR, as the data set's own tools do."""
+    scale: float = 1.0
+    """Sides of the images as they are used over the stored ones."""
 
     def __post_init__(self) -> None:
         if self.first < 0:
             raise BenchError(f"dataset.first={self.first} is negative. Give a number of frames, or 0 for all.")
+        require_between("dataset", self, 0.05, 1.0, "scale")
 
 
 @register("dataset", "kitti360", config=Kitti360Config)
@@ -78,7 +81,7 @@ class Kitti360(Dataset):
         files = [side / _image(number) for number in self.numbers for side in (self._left, self._right)]
         self._images = ImageSequence(files, [*self._left.glob("*.png"), *self._right.glob("*.png")])
         self.remarks = self._images.remarks
-        self.camera = calibration.stereo_camera(self._images.size)
+        self.camera = calibration.stereo_camera(self._images.size).scaled(config.scale)
         self._times = _times(self._left.parent / "timestamps.txt", self.numbers, there)
         self._scans = root / "data_3d_raw" / drive / "velodyne_points" / "data"
         self._uncurl = config.uncurl
@@ -88,7 +91,8 @@ class Kitti360(Dataset):
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
         number = self.numbers[position]
         left, right = (self._images.read(side / _image(number)) for side in (self._left, self._right))
-        return StereoFrame(number, float(self._times[position]), left, right)
+        size = (self.camera.width, self.camera.height)
+        return StereoFrame(number, float(self._times[position]), shrunk(left, size), shrunk(right, size))
 
     def ground_truth(self) -> Trajectory | None:
         """Poses of rectified image_00, the first the identity; None without pose files."""

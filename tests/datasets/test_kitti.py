@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from plugins.datasets.kitti import Kitti, KittiConfig
 from tests.datasets.kitti_disk import CX, CY, FX, T_CAM, TR, row, write_image, write_kitti
 
 
-def open_kitti(root: Path, **settings: str) -> Kitti:
+def open_kitti(root: Path, **settings: Any) -> Kitti:
     return Kitti(KittiConfig(root=str(root), **{"sequence": "04", **settings}))
 
 
@@ -85,6 +86,27 @@ def test_projects_a_point_where_hand_calculation_does(tmp_path: Path) -> None:
     assert {(int(v), int(u)) for v, u in np.argwhere(np.isfinite(depth))} == set(expected)
     for pixel, z in expected.items():
         assert depth[pixel] == pytest.approx(z, rel=1e-6)
+
+
+def test_half_the_size_shows_the_same_at_half_the_pixels(tmp_path: Path) -> None:
+    """A pixel's centre is at an integer: pixels 2k and 2k + 1 become k, whose centre is at 2k + 0.5 of before."""
+    write_kitti(tmp_path)
+    whole, half = open_kitti(tmp_path), open_kitti(tmp_path, scale=0.5)
+    frame, small = whole.frame(0), half.frame(0)
+    w, h = half.camera.width, half.camera.height
+    assert (w, h) == (round(whole.camera.width / 2), round(whole.camera.height / 2))
+    assert small.left.shape == (h, w, 3)
+    np.testing.assert_allclose(small.left, frame.left.reshape(h, 2, w, 2, 3).mean((1, 3)), atol=0.51)
+    point = np.array([1.0, -0.5, 8.0])
+    u, v = ((c.intrinsics @ point / point[2])[:2] for c in (whole.camera, half.camera))
+    ratio = np.array([w / whole.camera.width, h / whole.camera.height])
+    np.testing.assert_allclose((v + 0.5) / (u + 0.5), ratio, rtol=1e-12)
+    depth = half.lidar_depth(0)
+    assert depth is not None
+    assert depth.shape == (h, w)
+    assert open_kitti(tmp_path, scale=1.0).camera == whole.camera
+    with pytest.raises(BenchError, match=r"dataset.scale=2"):
+        open_kitti(tmp_path, scale=2.0)
 
 
 def test_frame_ranges_are_half_open_and_keep_numbers(tmp_path: Path) -> None:
