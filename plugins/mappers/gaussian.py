@@ -286,10 +286,13 @@ class GaussianMapper(Mapper):
             return []
         places = np.array([self._replay.place(number) for number in numbers])
         near = {number for place in places for number in self._map.keyframes_within(place, c.live_m)}
-        for number in live:
-            if np.linalg.norm(places - self._replay.place(number), axis=1).min() <= c.live_m:
-                near.add(number)
+        near.update(number for number in live if self._near(number, numbers, c.live_m))
         return sorted(near.difference(numbers))
+
+    def _near(self, number: int, others: Iterable[int], distance_m: float) -> bool:
+        """Whether a keyframe is at most so many metres from one of the others."""
+        place = self._replay.place(number)
+        return any(np.linalg.norm(self._replay.place(other) - place) <= distance_m for other in others)
 
     def _step_of_last(self, last: LastOptimisation) -> None:
         """One iteration of the last optimisation of some keyframes, with the second seeding at its time."""
@@ -312,14 +315,13 @@ class GaussianMapper(Mapper):
         """Where the camera has come back, drop Gaussians of these keyframes that an earlier pass has, too: those from
         before the loop closed lie beside its own."""
         live, anchor = self._map.live, self._map.live.anchor.long().cpu().numpy()
-        of = (self._schedule.again, numbers)
-        earlier, now = (np.isin(live.keyframes, list(each))[anchor.clip(0)] & (anchor >= 0) for each in of)
-        now &= ~earlier
+        again = self._schedule.again
+        passing = [n for n in numbers if n not in again and self._near(n, again, self.config.revisit_m)]
+        earlier, now = (np.isin(live.keyframes, list(of))[anchor.clip(0)] & (anchor >= 0) for of in (again, passing))
         if not (earlier.any() and now.any()):
             return
         new = torch.from_numpy(np.flatnonzero(now)).to(live.device)
         old = torch.from_numpy(np.flatnonzero(earlier)).to(live.device)
-        passing = [number for number in numbers if number not in self._schedule.again]
         views = ((self._replay.view(number), self._in_map(number)) for number in passing)
         planes = self._map.seen_from(self._replay.place(numbers[-1]))
         on_disk = planes[:, len(live) :]

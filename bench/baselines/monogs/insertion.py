@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
 from bench.baselines.monogs.images import not_black
 from bench.gaussians.parameters import planes_from
@@ -63,6 +62,8 @@ def neighbour_distance2(points: Float) -> Float:
     count = min(_NEIGHBOURS, len(points) - 1)
     if count < 1:
         return np.zeros(len(points))
+    from scipy.spatial import cKDTree  # here: it imports torch
+
     distances = cKDTree(points).query(points, count + 1)[0][:, 1:]
     return np.asarray((distances**2).mean(1))
 
