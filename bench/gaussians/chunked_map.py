@@ -31,6 +31,8 @@ log = logging.getLogger(__name__)
 _FAR_M = 60.0
 """What is farther from its keyframe (mostly sky) has a block of its own, so that the sphere of the rest is small."""
 _SIGMAS = 3.0
+_IN_SPHERE = 0.98
+"""Share of a block's Gaussians in its sphere. A few are huge; with them, it would be drawn from everywhere."""
 _LEVELS, _CELL_PX = 2, 1.5
 _SPARE = 0.1
 """Share of the run's limit of memory that blocks out of use leave to the rest of it."""
@@ -38,7 +40,7 @@ _SPARE = 0.1
 
 @dataclass(frozen=True)
 class Block:
-    """Gaussians of neighbouring keyframes as they lie in the store, and a sphere around them.
+    """Gaussians of neighbouring keyframes as they lie in the store, and a sphere around nearly all of them.
 
     ``keyframes``: the numbers of those that they move with. ``offset``: the sphere's centre in the camera frame of
     keyframe ``keyframes[len // 2]``, so that it moves with that; ``radius`` in metres.
@@ -113,15 +115,19 @@ class ChunkedMap:
 
     def look_from(self, place: Float) -> None:
         """From now on ``seen_from`` gives the blocks of which something is within reach of ``place`` (3,) in metres."""
-        distances = [(name, self._distance(block, place)) for name, block in self._blocks.items()]
+        distances = self._distances(list(self._blocks.values()), place)
         drawing = self._drawing
-        self._near = tuple((name, drawing.level(d)) for name, d in distances if d <= drawing.far_m)
+        levels = [
+            (name, drawing.level(d)) for name, d in zip(self._blocks, distances, strict=True) if d <= drawing.far_m
+        ]
+        self._near = tuple(levels)
         for each in self._near:
             self._planes_of(*each)  # one that turns out to be lost is not in use
 
     def lost_near(self, place: Float) -> list[Block]:
         """What was lost of what ``look_from`` this place (3,) should show."""
-        return [block for block in self.lost if self._distance(block, place) <= self._drawing.far_m]
+        distances = self._distances(self.lost, place)
+        return [block for block, d in zip(self.lost, distances, strict=True) if d <= self._drawing.far_m]
 
     def keyframes_within(self, place: Float, distance_m: float) -> list[int]:
         """Numbers of the frozen keyframes at most so many metres from ``place`` (3,)."""
@@ -205,11 +211,13 @@ class ChunkedMap:
         self._set_poses(state["numbers"].numpy(), state["poses"].numpy().copy())
         self._made = state["made"]
 
-    def _distance(self, block: Block, place: Float) -> float:
-        """From ``place`` (3,) to the nearest point of a block's sphere in metres, below 0 inside."""
-        middle = self._poses[self._at[block.keyframes[len(block.keyframes) // 2]]]
-        center = middle[:3, :3] @ block.offset + middle[:3, 3]
-        return float(np.linalg.norm(center - place)) - block.radius
+    def _distances(self, blocks: Sequence[Block], place: Float) -> list[float]:
+        """From ``place`` (3,) to the nearest point of each block's sphere in metres, below 0 inside."""
+        middle = self._poses[[self._at[block.keyframes[len(block.keyframes) // 2]] for block in blocks]]
+        offsets = np.array([block.offset for block in blocks]).reshape(-1, 3)
+        centers = np.einsum("nij,nj->ni", middle[:, :3, :3], offsets) + middle[:, :3, 3]
+        distances = np.linalg.norm(centers - place, axis=1) - [block.radius for block in blocks]
+        return list(distances.tolist())
 
     def _set_poses(self, numbers: npt.NDArray[np.int64], poses: Float) -> None:
         self._numbers, self._poses = numbers, poses
@@ -223,9 +231,9 @@ class ChunkedMap:
         keyframes = tuple(part.keyframes.tolist())
         middle = part.poses[len(keyframes) // 2]
         means = part.planes[MEAN].double().cpu().numpy().T
-        center = (means.min(0) + means.max(0)) / 2
+        center = np.median(means, axis=0)
         reach = _SIGMAS * part.planes[LOG_SCALE].max(0).values.exp().double().cpu().numpy()
-        radius = float((np.linalg.norm(means - center, axis=1) + reach).max())
+        radius = float(np.quantile(np.linalg.norm(means - center, axis=1) + reach, _IN_SPHERE))
         offset = se3.inverse(middle)[:3] @ np.append(center, 1.0)
         name = f"block-{self._made:06d}"
         arrays = {key: values.numpy() for key, values in part.state().items() if "moment" not in key}
