@@ -31,8 +31,8 @@ log = logging.getLogger(__name__)
 _FAR_M = 60.0
 """What is farther from its keyframe (mostly sky) has a block of its own, so that the sphere of the rest is small."""
 _SIGMAS = 3.0
-_IN_SPHERE = 0.98
-"""Share of a block's Gaussians in its sphere. A few are huge; with them, it would be drawn from everywhere."""
+_MOST_REACH_M = 30.0
+"""So far a Gaussian reaches for its block's sphere. A few are huge: their block would be drawn from everywhere."""
 _LEVELS, _CELL_PX = 2, 1.5
 _SPARE = 0.1
 """Share of the run's limit of memory that blocks out of use leave to the rest of it."""
@@ -40,7 +40,7 @@ _SPARE = 0.1
 
 @dataclass(frozen=True)
 class Block:
-    """Gaussians of neighbouring keyframes as they lie in the store, and a sphere around nearly all of them.
+    """Gaussians of neighbouring keyframes as they lie in the store, and a sphere around them.
 
     ``keyframes``: the numbers of those that they move with. ``offset``: the sphere's centre in the camera frame of
     keyframe ``keyframes[len // 2]``, so that it moves with that; ``radius`` in metres.
@@ -231,9 +231,9 @@ class ChunkedMap:
         keyframes = tuple(part.keyframes.tolist())
         middle = part.poses[len(keyframes) // 2]
         means = part.planes[MEAN].double().cpu().numpy().T
-        center = np.median(means, axis=0)
+        center = (means.min(0) + means.max(0)) / 2
         reach = _SIGMAS * part.planes[LOG_SCALE].max(0).values.exp().double().cpu().numpy()
-        radius = float(np.quantile(np.linalg.norm(means - center, axis=1) + reach, _IN_SPHERE))
+        radius = float((np.linalg.norm(means - center, axis=1) + np.minimum(reach, _MOST_REACH_M)).max())
         offset = se3.inverse(middle)[:3] @ np.append(center, 1.0)
         name = f"block-{self._made:06d}"
         arrays = {key: values.numpy() for key, values in part.state().items() if "moment" not in key}
@@ -290,15 +290,18 @@ class ChunkedMap:
             return self.live.planes[:, :0]
         self._loaded.move_to_end(key)
         planes = self._loaded[key]
-        held = sum(each.nbytes for each in self._loaded.values())
-        room = self._drawing.memory_bytes
+        unused = [each for each in self._loaded if each not in {*self._near, key}]
+        self._let_go(unused, sum(self._loaded[each].nbytes for each in unused) - self._drawing.memory_bytes)
         if self.budget is not None and self.budget.limit_gb is not None:
-            room = min(room, held + 1e9 * (self.budget.left_gb() - _SPARE * self.budget.limit_gb))
-        for oldest in list(self._loaded):
-            if held <= room:
-                break
-            held -= self._loaded.pop(oldest).nbytes
+            self._let_go(list(self._loaded), 1e9 * (_SPARE * self.budget.limit_gb - self.budget.left_gb()))
         return planes
+
+    def _let_go(self, which: Sequence[tuple[str, int]], much: float) -> None:
+        """Drop the first of these blocks from memory, until they are so many bytes or all."""
+        for each in which:
+            if much <= 0:
+                return
+            much -= self._loaded.pop(each).nbytes
 
     def _drop(self, block: Block) -> None:
         self._blocks.pop(block.name, None)
