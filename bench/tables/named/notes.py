@@ -18,6 +18,7 @@ from bench.tables.render import footnotes
 # Of a run's settings, what a reader wants to know first; the rest is in each run's config.yaml.
 _STATED = (
     ("dataset.frames", "frames"),
+    ("dataset.scale", "images scaled by"),
     ("stereo.name", "stereo"),
     ("sky.name", "sky"),
     ("tracker.name", "tracker"),
@@ -26,6 +27,7 @@ _STATED = (
     ("mapper.iterations", "iterations"),
     ("mapper.rasterizer.name", "rasterizer"),
 )
+_UNSAID = {"dataset.scale": "1.0"}
 
 
 def notes(
@@ -144,7 +146,9 @@ def _settings(filled: FilledTable) -> list[str]:
     users: dict[str, list[str]] = defaultdict(list)
     for (row, _), cell in filled.cells.items():
         seeds = ", ".join(str(run.seed) for run in cell.shown)
-        parts = [f"{title} {cell.settings[key] or 'all'}" for key, title in _STATED if key in cell.settings]
+        has = cell.settings
+        said = [(has[key], title) for key, title in _STATED if key in has and has[key] != _UNSAID.get(key)]
+        parts = [f"{title} {value or 'all'}" for value, title in said]
         text = "; ".join([*parts, f"seeds {seeds or 'none'}"])
         if row not in users[text]:
             users[text].append(row)
