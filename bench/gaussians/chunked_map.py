@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
@@ -123,6 +123,7 @@ class ChunkedMap:
         self._near = tuple(levels)
         for each in self._near:
             self._planes_of(*each)  # one that turns out to be lost is not in use
+        self._make_room()
 
     def lost_near(self, place: Float) -> list[Block]:
         """What was lost of what ``look_from`` this place (3,) should show."""
@@ -185,9 +186,8 @@ class ChunkedMap:
         the sky about the origin."""
         for name in list(self._blocks):
             self._arrays_of(self._blocks[name])
-        blocks = (self._planes_of(name) for name in list(self._blocks))
         live, sky = self.live.seen_from(np.zeros(3)), self.live.sky
-        parts = chain([live[:, :sky]], blocks, [live[:, sky:]])
+        parts = chain([live[:, :sky]], self._all_blocks(), [live[:, sky:]])
         write_ply_in_parts(path, parts, len(self), self.live.sh_degree, sky)
 
     def state(self) -> dict[str, Any]:
@@ -289,12 +289,20 @@ class ChunkedMap:
         if key not in self._loaded:
             return self.live.planes[:, :0]
         self._loaded.move_to_end(key)
-        planes = self._loaded[key]
-        unused = [each for each in self._loaded if each not in {*self._near, key}]
+        return self._loaded[key]
+
+    def _all_blocks(self) -> Iterator[Tensor]:
+        for name in list(self._blocks):
+            yield self._planes_of(name)
+            self._make_room()
+
+    def _make_room(self) -> None:
+        """Drop blocks from memory, those used least recently first, where they are more than there may be."""
+        used = set(self._near)
+        unused = [each for each in self._loaded if each not in used]
         self._let_go(unused, sum(self._loaded[each].nbytes for each in unused) - self._drawing.memory_bytes)
         if self.budget is not None and self.budget.limit_gb is not None:
             self._let_go(list(self._loaded), 1e9 * (_SPARE * self.budget.limit_gb - self.budget.left_gb()))
-        return planes
 
     def _let_go(self, which: Sequence[tuple[str, int]], much: float) -> None:
         """Drop the first of these blocks from memory, until they are so many bytes or all."""

@@ -107,11 +107,21 @@ class GaussianMap:
         if len(again):
             self.keep(torch.argsort(self.anchor, stable=True))
 
-    def add_sky(self, place: Float, planes: Tensor, depths: Tensor) -> None:
-        """New Gaussians (P', M) of the sky as seen from ``place`` (3,) at ``depths`` (M,) metres."""
+    def add_sky(self, place: Float, planes: Tensor, depths: Tensor, cell: float) -> None:
+        """New Gaussians (P', M) of the sky as seen from ``place`` (3,) at ``depths`` (M,) metres.
+
+        Only those in directions where the sky has none yet, in cells of ``cell`` radians: what is wrong along the edges
+        of things in front of the sky is not mended by more of it, and it would grow with every keyframe.
+        """
+        self._look_from(place)
+        known, new = (
+            _direction_cells(means - torch.from_numpy(about).to(means)[:, None], cell)
+            for means, about in ((self.planes[MEAN, : self.sky], self._sky_about), (planes[MEAN].to(self.device), place))
+        )
+        fresh = ~torch.isin(new, known)
+        planes, depths = planes.to(self.device)[:, fresh], depths.to(self.device)[fresh]
         if not len(depths):
             return
-        self._look_from(place)
         self._append(planes, depths, torch.full((len(depths),), SKY, dtype=torch.int32, device=self.device))
         self.keep(torch.argsort(self.anchor, stable=True))
 
@@ -317,6 +327,12 @@ class GaussianMap:
         """
         self.first_moment[planes, which] = matrix @ self.first_moment[planes, which]
         self.second_moment[planes, which] = matrix.square() @ self.second_moment[planes, which]
+
+
+def _direction_cells(offsets: Tensor, cell: float) -> Tensor:
+    """Which cell of a grid with so wide cells, laid over the unit sphere, each direction (3, N) points to, as (N,)."""
+    x, y, z = torch.floor(offsets / (offsets.norm(dim=0) * cell)).long()
+    return (x * (1 << 21) + y) * (1 << 21) + z
 
 
 def matches(numbers: np.ndarray, of_trajectory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

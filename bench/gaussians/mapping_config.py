@@ -62,8 +62,8 @@ class GaussianMapperConfig(PluginConfig):
     moving: bool = False
     """Neither learn from nor seed what moves: what several keyframes that look at the same place see in other colours.
     The run folder gets the masks, ``views/left/moving``."""
-    cached_targets: int = 12
-    """How many keyframes keep their derived images in memory."""
+    cached_targets: int = 3
+    """How many keyframes keep their derived images in memory; at half resolution, four times as many."""
     live_m: float = field(default=50.0, metadata={"infinite": True})
     """The map is made in chunks: one gets its last iterations, with keyframes of its neighbourhood as far as this, when
     the camera is so many metres away from it, and goes to disk, so that memory and time per frame do not grow with the

@@ -40,7 +40,7 @@ class Replay:
         self._correct, self._ignored = correct, ignored
         self._before: Trajectory | None = None
         self._views: dict[tuple[int, bool], PinholeView] = {}
-        self._targets: OrderedDict[tuple[int, bool], tuple[Target, Target]] = OrderedDict()
+        self._targets: OrderedDict[tuple[int, bool, bool], Target] = OrderedDict()
 
     def use_store(self, store: ArrayStore) -> None:
         """Where keyframes go that are let go; before the first one."""
@@ -71,19 +71,21 @@ class Replay:
 
     def target(self, number: int, half: bool, right: bool = False) -> Target:
         """The target of a keyframe at half or full resolution; of those kept the least recently used one is dropped."""
-        pair = self._targets.pop((number, right), None)
-        if pair is None:
-            keyframe, view, c = self.keyframes[number], self.view(number, right), self._config
-            if right:
-                full = right_target_of(keyframe, view, c.depth_range_m, self._device)
-            else:
-                ignored = self._ignored(number)
-                full = target_of(keyframe, view, c.depth_range_m, self._device, c.color_pixels, ignored)
-            pair = (full, full.halved())
-        self._targets[number, right] = pair
-        while len(self._targets) > self._config.cached_targets:
+        key = (number, right, half)
+        target = self._targets.pop(key, None)
+        if target is None:
+            full = self._targets.get((number, right, False)) or self._made(number, right)
+            target = full.halved() if half else full
+        self._targets[key] = target
+        while sum(1 if of_half else 4 for *_, of_half in self._targets) > 4 * self._config.cached_targets:
             self._targets.popitem(last=False)
-        return pair[int(half)]
+        return target
+
+    def _made(self, number: int, right: bool) -> Target:
+        keyframe, view, c = self.keyframes[number], self.view(number, right), self._config
+        if right:
+            return right_target_of(keyframe, view, c.depth_range_m, self._device)
+        return target_of(keyframe, view, c.depth_range_m, self._device, c.color_pixels, self._ignored(number))
 
     def let_go(self, number: int) -> None:
         """A keyframe goes to disk, from where it comes back when it is asked for; ``BenchError`` if it can't be
@@ -99,8 +101,8 @@ class Replay:
 
     def forget_target(self, number: int) -> None:
         """The targets are to be made again."""
-        self._targets.pop((number, False), None)
-        self._targets.pop((number, True), None)
+        for key in [key for key in self._targets if key[0] == number]:
+            del self._targets[key]
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint; ``stored``: names in the store."""

@@ -434,7 +434,8 @@ class GaussianMapper(Mapper):
         seeds = seed_gaussians(image, depth, keyframe.sky, unexplained, view, seeding)
         sky, live = seeds.of_sky, self._map.live
         live.add(number, keyframe.T_world_cam, seeds.planes[:, ~sky], seeds.depths[~sky])
-        live.add_sky(view.T_world_cam[:3, 3], seeds.planes[:, sky], seeds.depths[sky])
+        cell = seeding.stride / view.fx
+        live.add_sky(view.T_world_cam[:3, 3], seeds.planes[:, sky], seeds.depths[sky], cell)
 
     def _require_finite(self, when: str) -> None:
         """``BenchError`` that says ``when``, for a map that holds NaN: gradients can be no numbers where losses are."""

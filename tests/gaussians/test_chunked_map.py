@@ -79,7 +79,7 @@ def test_the_same_bits_whatever_stays_in_memory(tmp_path: Path) -> None:
 
 def test_the_same_bits_wherever_the_images_of_a_whole_map_are(tmp_path: Path) -> None:
     paged, held = (mapped(tmp_path / f"{n}", live_m=np.inf, live_keyframes=n) for n in (4, 200))
-    assert (paged._replay.keyframes.in_memory, held._replay.keyframes.in_memory) == (FRAMES, FRAMES)
+    assert paged._replay.keyframes.in_memory < held._replay.keyframes.in_memory == FRAMES
     assert len(ArrayStore(tmp_path / "4").names()) == FRAMES - 4
     assert not ArrayStore(tmp_path / "200").names()
     assert results(paged, tmp_path / "a.ply") == results(held, tmp_path / "b.ply")
@@ -131,7 +131,7 @@ def test_what_goes_is_what_lies_nearest_to_its_keyframes(tmp_path: Path) -> None
 def test_the_sky_stays_in_memory_and_is_no_chunks(tmp_path: Path) -> None:
     split, _ = chunked(ArrayStore(tmp_path))
     place = poses().T_world_cam[4, :3, 3]
-    split.live.add_sky(place, torch.zeros(14, 6), torch.ones(6))  # where the next chunk is
+    split.live.add_sky(place, torch.zeros(14, 6), torch.ones(6), 1e-3)  # where the next chunk is
     split.freeze([3, 4, 5])
     assert split.live.sky == 6
     assert len(split) == 50 * FRAMES + 6

@@ -131,7 +131,7 @@ def with_sky() -> GaussianMap:
     made = marked()
     sky = torch.zeros(14, 3)
     sky[2], sky[3] = 200.0, torch.arange(3.0)
-    made.add_sky(np.array([5.0, 0.0, 0.0]), sky, torch.full((3,), 200.0))
+    made.add_sky(np.array([5.0, 0.0, 0.0]), sky, torch.full((3,), 200.0), 1e-3)
     return made
 
 
@@ -149,6 +149,17 @@ def test_the_sky_comes_first_and_moves_with_who_looks_at_it() -> None:
         made.seen_from(random)  # the way here makes no difference
     assert torch.equal(made.seen_from(np.array(place)), seen)
     assert followers(made) == {7: [3, 4, 5, 6], 3: [7, 8, 9, 10], 5: [11, 12, 13, 14]}
+
+
+def test_the_sky_grows_only_in_directions_where_it_has_nothing_yet() -> None:
+    made, place = with_sky(), np.array([-40.0, 3.0, 500.0])
+    sky = torch.zeros(14, 4)
+    sky[:3] = torch.from_numpy(place)[:, None]
+    sky[2] += 200.0
+    sky[0] += torch.tensor([-5.0, -4.0, 7.0, -8.0])  # at -1.4 degrees there is some already
+    made.add_sky(place, sky, torch.full((4,), 200.0), cell=np.deg2rad(1.0))
+    assert made.sky == 5
+    assert sorted(made.seen_from(place)[0, :5].tolist()) == [-48, -45, -45, -45, -33]
 
 
 def test_the_sky_of_a_saved_map_is_known_again(tmp_path: Path) -> None:
