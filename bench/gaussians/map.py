@@ -114,12 +114,13 @@ class GaussianMap:
         of things in front of the sky is not mended by more of it, and it would grow with every keyframe.
         """
         self._look_from(place)
+        planes, depths = planes.to(self.device), depths.to(self.device)
         known, new = (
             _direction_cells(means - torch.from_numpy(about).to(means)[:, None], cell)
-            for means, about in ((self.planes[MEAN, : self.sky], self._sky_about), (planes[MEAN].to(self.device), place))
+            for means, about in ((self.planes[MEAN, : self.sky], self._sky_about), (planes[MEAN], place))
         )
         fresh = ~torch.isin(new, known)
-        planes, depths = planes.to(self.device)[:, fresh], depths.to(self.device)[fresh]
+        planes, depths = planes[:, fresh], depths[fresh]
         if not len(depths):
             return
         self._append(planes, depths, torch.full((len(depths),), SKY, dtype=torch.int32, device=self.device))
