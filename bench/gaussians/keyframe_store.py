@@ -81,7 +81,7 @@ class KeyframeStore:
         """The keyframe is at this pose from now on; ``KeyError`` for one that is unknown."""
         if number not in self._poses:
             raise KeyError(number)
-        self._poses[number] = T_world_cam
+        self._poses[number] = T_world_cam.copy()  # a view would keep all of its trajectory in memory
 
     def remove(self, number: int) -> None:
         """Forget a keyframe; its file stays, since a checkpoint may name it, until the array store discards it."""

@@ -79,7 +79,7 @@ class GaussianMapperConfig(PluginConfig):
     """Chunks on disk are drawn as far as this."""
     detail_m: float = 40.0
     """And from here on, and again from twice as far, in fewer Gaussians: those of 1.5 pixels are merged."""
-    chunk_memory_mb: float = field(default=100.0, metadata={"infinite": True})
+    chunk_memory_mb: float = field(default=50.0, metadata={"infinite": True})
     """As much of the chunks on disk stays in memory beside what is being drawn; results are the same for any."""
     follow_corrections_m: float = field(default=0.01, metadata={"infinite": True})
     """Gaussians move with their keyframe once its pose has been corrected by more metres (0: always, inf: never);

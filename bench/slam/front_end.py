@@ -89,7 +89,8 @@ def _frames(system: System, check: PairCheck, first: int) -> Generator[Seen, Non
         trajectory = system.tracker.trajectory()
         pose = trajectory.pose_of(frame.number)
         assert pose is not None
-        keyframe, cost = keyframe_of(system, position, frame, pose)
+        # A copy: a view of it would keep the whole trajectory of this moment in memory.
+        keyframe, cost = keyframe_of(system, position, frame, pose.copy())
         row["stereo_s"] += cost.seconds
         row["stereo_cached"] |= cost.cached
         if not keyframe.depth.known.any():
