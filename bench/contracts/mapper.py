@@ -94,7 +94,8 @@ class Mapper(ABC):
 
         Asked for between keyframes, between ``final_steps`` and after the last of them; what is resumed from that one
         is only rendered and saved. None (the default): runs with this mapper have no checkpoints, and begin anew after
-        a kill. The keyframes' images and depth need not be in it.
+        a kill. The keyframes' images and depth need not be in it. Raises ``BenchError`` where the store can't be
+        written: the run then goes on without checkpoints.
         """
         return None
 

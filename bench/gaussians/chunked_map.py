@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
@@ -191,20 +192,23 @@ class ChunkedMap:
         write_ply_in_parts(path, parts, len(self), self.live.sh_degree, sky)
 
     def state(self) -> dict[str, Any]:
-        """For a checkpoint; ``stored``: names in the store."""
+        """For a checkpoint; ``stored``: names in the store. The live Gaussians are put there, too: that takes no second
+        copy of them in memory. Raises ``BenchError`` where the store can't be written."""
+        live = next(name for name in (f"live-{n}" for n in itertools.count()) if name not in self.store)
+        self.store.put(live, self.live.arrays())
         return {
-            "live": self.live.state(),
+            "live": live,
             "blocks": [asdict(block) for block in self._blocks.values()],
             "numbers": torch.from_numpy(self._numbers),
             "poses": torch.from_numpy(self._poses.copy()),
             "lost": [asdict(block) for block in self.lost],
             "made": self._made,
-            "stored": list(self._blocks),
+            "stored": [live, *self._blocks],
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Resume from what ``state`` gave."""
-        self.live.restore(state["live"])
+        """Resume from what ``state`` gave; raises ``DamagedError`` where the live Gaussians are lost."""
+        self.live.restore(_as_tensors(self.store.get(state["live"])))
         blocks = [Block(**block) for block in state["blocks"]]
         self._blocks = OrderedDict((block.name, block) for block in blocks)
         self.lost = [Block(**block) for block in state["lost"]]
@@ -236,7 +240,7 @@ class ChunkedMap:
         radius = float((np.linalg.norm(means - center, axis=1) + np.minimum(reach, _MOST_REACH_M)).max())
         offset = se3.inverse(middle)[:3] @ np.append(center, 1.0)
         name = f"block-{self._made:06d}"
-        arrays = {key: values.numpy() for key, values in part.state().items() if "moment" not in key}
+        arrays = {key: values for key, values in part.arrays().items() if "moment" not in key}
         for level in range(1, _LEVELS + 1):
             pixel_m = self._drawing.pixel_m(level)
             arrays[f"level_{level}"] = merged(part.planes, _CELL_PX * pixel_m, pixel_m).cpu().numpy()
@@ -261,7 +265,7 @@ class ChunkedMap:
         if arrays is None:
             return None
         names = ("planes", "birth_depth", "anchor", "numbers", "T_world_cam", "sky_about")
-        state = {key: torch.from_numpy(np.array(arrays[key])) for key in names}
+        state = _as_tensors({key: arrays[key] for key in names})
         if level:
             middle, count = len(block.keyframes) // 2, arrays[f"level_{level}"].shape[1]
             state |= {
@@ -321,6 +325,10 @@ class ChunkedMap:
         for level in range(_LEVELS + 1):
             self._loaded.pop((block.name, level), None)
         self._extended = None
+
+
+def _as_tensors(arrays: Mapping[str, npt.NDArray[Any]]) -> dict[str, Tensor]:
+    return {key: torch.from_numpy(np.array(values)) for key, values in arrays.items()}
 
 
 def _nearest(means: Tensor, places: Float) -> npt.NDArray[np.int64]:

@@ -220,14 +220,15 @@ class GaussianMap:
             largest_deg=float(moved_deg[moves].max(initial=0.0)),
         )
 
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """All columns, and numbers (K,) and poses (K, 4, 4) of the keyframes: good until the map is changed, since on
+        the CPU they are no copies."""
+        columns = {name: getattr(self, name).cpu().numpy() for name in _COLUMNS}
+        return columns | {"numbers": self._numbers, "T_world_cam": self._T_world_cam, "sky_about": self._sky_about}
+
     def state(self) -> dict[str, Any]:
-        """All columns, and numbers (K,) and poses (K, 4, 4) of the keyframes, as CPU tensors."""
-        columns = {name: getattr(self, name).cpu().clone(memory_format=torch.contiguous_format) for name in _COLUMNS}
-        return columns | {
-            "numbers": torch.from_numpy(self._numbers),
-            "T_world_cam": torch.from_numpy(self._T_world_cam),
-            "sky_about": torch.from_numpy(self._sky_about),
-        }
+        """The same as tensors that share no memory with the map."""
+        return {name: torch.from_numpy(np.array(values, order="C")) for name, values in self.arrays().items()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what ``state`` gave."""

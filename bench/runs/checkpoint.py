@@ -97,19 +97,23 @@ class Checkpoints:
         log.info("no checkpoints: %s", why)
         self._gave_up = True
 
+    def failed(self, error: Exception) -> None:
+        """One can't be written: that costs safety, not the run; a warning says so."""
+        log.warning("no checkpoint could be written, the run goes on without: %s", error)
+        self._gave_up = True
+
     def unused(self, kind: str, state: dict[str, Any]) -> set[str]:
         """Sets in a part's store that the state it gave just now has no use for."""
         return set(self.stores[kind].names()).difference(state.get("stored", ()))
 
     def write(self, snapshot: Snapshot) -> None:
-        """Make it the newest checkpoint; one that can't be written costs safety, not the run: a warning says so."""
+        """Make it the newest checkpoint."""
         if self._gave_up:
             return
         try:
             self._write(snapshot)
         except (OSError, BenchError) as error:
-            log.warning("no checkpoint could be written, the run goes on without: %s", error)
-            self._gave_up = True
+            self.failed(error)
         self._asked = time.monotonic()
 
     def load(self) -> Snapshot | None:

@@ -17,6 +17,7 @@ import torch
 
 from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
+from bench.errors import BenchError
 from bench.io.array_store import DamagedError
 from bench.io.torch_files import from_state, to_state
 from bench.runs.checkpoint import Checkpoints, Snapshot
@@ -83,11 +84,16 @@ def states_of_front_end(system: System, checkpoints: Checkpoints, check: PairChe
 def snapshot_of(
     system: System, done: Progress, memory: PeakMemory, checkpoints: Checkpoints, seeing: dict[str, Any] | None
 ) -> Snapshot | None:
-    """The run as it is between two steps; None, and the log says why, where the mapper gives no state to go on from.
+    """The run as it is between two steps; None, and the log says why, where the mapper gives no state to go on from, or
+    can't write what that builds on.
 
     ``seeing`` is what the front end gave after the newest frame; None once all frames are tracked.
     """
-    mapper = system.mapper.state()
+    try:
+        mapper = system.mapper.state()
+    except BenchError as error:
+        checkpoints.failed(error)
+        return None
     if mapper is None:
         checkpoints.give_up(f"the mapper {type(system.mapper).__name__} gives no state")
         return None
