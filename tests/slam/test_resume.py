@@ -213,11 +213,14 @@ def test_a_mapper_without_a_state_has_no_checkpoints(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.slow
-def test_a_checkpoint_that_cant_be_written_costs_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(self: Checkpoints, snapshot: Any) -> None:
-        raise BenchError("Can't write state.pt: No space left on device.")
+@pytest.mark.parametrize(("of", "method"), [(Checkpoints, "_write"), (GaussianMapper, "state")])
+def test_a_checkpoint_that_cant_be_written_costs_no_run(
+    of: type, method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: object, *of_state: Any) -> None:
+        raise BenchError("Can't write it: No space left on device.")
 
-    monkeypatch.setattr(Checkpoints, "_write", full)
+    monkeypatch.setattr(of, method, full)
     folder = run(tmp_path / "run").path
     assert (folder / "log.txt").read_text().count("no checkpoint could be written") == 1
     assert json.loads((folder / "status.json").read_text())["state"] == "done"
