@@ -99,7 +99,8 @@ class Checkpoints:
 
     def failed(self, error: Exception) -> None:
         """One can't be written: that costs safety, not the run; a warning says so."""
-        log.warning("no checkpoint could be written, the run goes on without: %s", error)
+        if not self._gave_up:
+            log.warning("no checkpoint could be written, the run goes on without: %s", error)
         self._gave_up = True
 
     def unused(self, kind: str, state: dict[str, Any]) -> set[str]:
