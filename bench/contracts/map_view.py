@@ -25,6 +25,10 @@ class MapView(ABC):
     seen. A map that can't offer one of these raises ``BenchError`` with the reason.
     """
 
+    def require_images(self) -> None:  # noqa: B027 - most can
+        """``BenchError`` where the map can't be rendered from any pose without depth: asked before the first frame, in
+        ``use_map``, by whoever needs that."""
+
     @abstractmethod
     def render(self, view: PinholeView) -> RenderedView:
         """The map from a view, as numpy arrays."""

@@ -63,6 +63,7 @@ class MonoGSKeyframer(Keyframer):
         self._camera = camera
 
     def use_map(self, view: MapView) -> None:
+        view.require_images()
         self._map = view
 
     def update(self, frame: StereoFrame, tracking: TrackingResult) -> KeyframeDecision:

@@ -78,6 +78,7 @@ class MonoGSTracker(Tracker):
         self._poses: list[Float] = []
 
     def use_map(self, view: MapView) -> None:
+        view.require_images()
         self._map = view
 
     def track(self, frame: StereoFrame) -> TrackingResult:

@@ -78,6 +78,7 @@ class SplatamTracker(Tracker):
 
     def use_map(self, view: MapView) -> None:
         """The map that frames are compared with."""
+        view.require_images()
         self._map = view
 
     def track(self, frame: StereoFrame) -> TrackingResult:

@@ -35,9 +35,12 @@ from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.geometry import se3
 from bench.types import DepthMap, Keyframe, PinholeView, StereoCamera, StereoFrame, TrackingResult, Trajectory
+from plugins.keyframers.monogs import MonoGSKeyframer, MonoGSKeyframerConfig
 from plugins.keyframers.point_slam import PointSlamKeyframer, PointSlamKeyframerConfig
 from plugins.mappers.point_slam import PointSlamMapper
+from plugins.trackers.monogs import MonoGSTracker, MonoGSTrackerConfig
 from plugins.trackers.point_slam import PointSlamTracker
+from plugins.trackers.splatam import SplatamTracker, SplatamTrackerConfig
 
 CPU = torch.device("cpu")
 CAMERA = StereoCamera(24, 16, 24.0, 24.0, 11.5, 7.5, (0.1, 0.0, 0.0))
@@ -437,6 +440,13 @@ def test_what_does_not_go_together_says_so() -> None:
     view = mapper.view()
     with pytest.raises(BenchError, match="mapper=point_slam shows its map only along rays"):
         view.render(PinholeView.of(CAMERA, np.eye(4)))
+    for part in (
+        MonoGSTracker(MonoGSTrackerConfig()),
+        MonoGSKeyframer(MonoGSKeyframerConfig()),
+        SplatamTracker(SplatamTrackerConfig()),
+    ):
+        with pytest.raises(BenchError, match="compares whole images needs a view without it"):
+            part.use_map(view)
     with pytest.raises(BenchError, match="mapper=point_slam alone can"):
         PointSlamTracker(PointSlamTrackerConfig()).use_map(object())  # type: ignore[arg-type]
 

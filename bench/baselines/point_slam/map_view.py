@@ -46,6 +46,10 @@ class PointMapView(MapView):
         """Depth, its variance and colour along rays, differentiable by their origins and directions."""
         return self._renderer.render(rays)
 
+    def require_images(self) -> None:
+        """Raises ``BenchError``."""
+        self._refuse("tracker or keyframer that compares whole images")
+
     def render(self, view: PinholeView) -> RenderedView:
         """Raises ``BenchError``."""
         self._refuse("render")
