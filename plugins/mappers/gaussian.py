@@ -36,7 +36,7 @@ from bench.gaussians.replay import Replay
 from bench.gaussians.schema import OPACITY_LOGIT
 from bench.gaussians.seeding import depth_to_seed_from, seed_gaussians
 from bench.io.array_store import ArrayStore, DamagedError
-from bench.process_memory import MemoryBudget
+from bench.process_memory import MemoryBudget, release_free_memory
 from bench.registry import register
 from bench.supervision.appearance import Appearance
 from bench.supervision.moving import MovingThings
@@ -350,6 +350,7 @@ class GaussianMapper(Mapper):
             self._room = False
             return
         self._schedule.freeze(list(chunk))
+        release_free_memory()
         self._happened.append(("chunk_frozen", {"first": chunk[0], "last": chunk[-1]}))
 
     def _to_keep(self, keyframe: Keyframe) -> Keyframe:
