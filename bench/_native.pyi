@@ -50,6 +50,23 @@ class Workspace:
         touched: Any,
         pose: bool,
     ) -> list[float]: ...
+    def learn(
+        self,
+        planes: Any,
+        grad_color: Any,
+        grad_depth: Any,
+        grad_alpha: Any,
+        params: Any,
+        first: Any,
+        second: Any,
+        position_rate: Any,
+        rates: list[float],
+        beta1: float,
+        beta2: float,
+        epsilon: float,
+        step: int,
+        pose: bool,
+    ) -> list[float]: ...
     @property
     def count(self) -> int: ...
     @property

@@ -15,6 +15,8 @@ from bench.authoring.random_scenes import GROUPS, SceneSpec, image_gradients, ra
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.contracts.rasterizer import Gradients, Rasterizer, Rendered
 from bench.errors import BenchError
+from bench.gaussians.map import GaussianMap
+from bench.gaussians.optimizer import LearningRates, MapOptimizer
 from bench.gaussians.parameters import planes_from
 from bench.gaussians.schema import THRESHOLDS, planes_of
 from bench.types import PinholeView
@@ -200,6 +202,31 @@ def _observation(subject: Subject) -> str | Note:
     return "pixels per Gaussian and median depth like those of rasterizer=reference"
 
 
+def _learning(subject: Subject) -> str | Note:
+    rasterizer, (planes, view) = subject.rasterizer, random_scene(_SCENES[0])
+    if not rasterizer.learns:
+        return Note("no learn(): a step of Adam is a pass of its own after backward()")
+    by_color, by_depth, by_alpha = (grad.to(rasterizer.device) for grad in image_gradients(view, 1))
+    by_images, learned = (by_color, by_depth, by_alpha), []
+    for at_once in (True, False):
+        gaussians, optimizer = GaussianMap(0, rasterizer.device), MapOptimizer(LearningRates(*[1e-2] * 5))
+        gaussians.add(0, np.eye(4), planes, torch.ones(planes.shape[1]))
+        rendered = subject.render(gaussians.planes, view)
+        if at_once:
+            optimizer.learn(gaussians, rasterizer, rendered, by_images)
+        else:
+            optimizer.step(gaussians, rasterizer.backward(rendered, *by_images))
+        learned.append(torch.cat([gaussians.planes, gaussians.first_moment, gaussians.second_moment]))
+    if not torch.equal(*learned):
+        raise ContractBrokenError(
+            f"learn() makes other parameters and moments: by up to {float((learned[0] - learned[1]).abs().max()):.2g}",
+            "the bits of backward() and a step of Adam with its gradients",
+            "see bench/gaussians/optimizer.py for the step; only Gaussians in view take it",
+            "learn",
+        )
+    return "learn(): the bits of backward() and a step of Adam"
+
+
 def _nothing_to_see(subject: Subject) -> str:
     _, view = random_scene(_SCENES[1])
     behind = torch.zeros(planes_of(0), 1)
@@ -265,6 +292,7 @@ def checks_of(subject: Subject) -> tuple[Check[Subject], ...]:
         Check("gradients", _gradients),
         Check("harmonics", _harmonics),
         Check("observation", _observation),
+        Check("learning", _learning),
         Check("nothing to see", _nothing_to_see),
         Check("determinism", _repeats),
     )

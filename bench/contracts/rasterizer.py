@@ -47,6 +47,25 @@ class Gradients:
         return torch.where(self.touched, self.planes, 0.0)
 
 
+@dataclass(frozen=True)
+class AdamStep:
+    """A step of Adam (Kingma and Ba, 2015) of the first M of the Gaussians that were rendered, of those in view.
+
+    ``planes``, ``first``, ``second`` (P, M): parameters and moments, which change in place. ``rates``: of each plane;
+    ``position_rate`` (M,) multiplies that of the means. ``step``: its number, from 1 on.
+    """
+
+    planes: Tensor
+    first: Tensor
+    second: Tensor
+    position_rate: Tensor
+    rates: list[float]
+    beta1: float
+    beta2: float
+    epsilon: float
+    step: int
+
+
 @dataclass
 class Observation:
     """What a view sees: ``pixels`` (N,) int32, in how many pixels a Gaussian is blended (alpha >= 1/255) while the
@@ -62,6 +81,8 @@ class Rasterizer(ABC):
     ``bench.gaussians.schema.THRESHOLDS``. The number of planes says the degree of the spherical harmonics, 0 to 3."""
 
     device: torch.device
+    learns: bool = False
+    """Whether it has ``learn``."""
 
     @abstractmethod
     def render(self, planes: Tensor, view: PinholeView, differentiable: bool = True) -> Rendered:
@@ -85,6 +106,21 @@ class Rasterizer(ABC):
         Of the planes only for the first ``learning`` Gaussians (None = all), by the ``pose`` through all of them.
         They may lie in memory that the next call writes again: use them before, or keep ``dense()``.
         """
+
+    def learn(
+        self,
+        rendered: Rendered,
+        grad_color: Tensor | None,
+        grad_depth: Tensor | None,
+        grad_alpha: Tensor | None,
+        step: AdamStep,
+        pose: bool = False,
+    ) -> Tensor | None:
+        """``backward`` and a step with its gradients at once, which then take no memory; the bits are the same.
+
+        Gives the gradient (6,) by the ``pose`` before the step, or None.
+        """
+        raise NotImplementedError(f"{type(self).__name__} says learns and has no learn()")
 
     def observe(self, planes: Tensor, view: PinholeView) -> Observation:
         """Which of the (P, N) parameters a view sees, and how far; ``BenchError`` where a rasterizer can't tell."""

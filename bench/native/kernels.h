@@ -100,9 +100,10 @@ struct ProjectBackwardArgs {
     const int32_t* place;  // of each Gaussian's record, -1 if not visible
     const float* slots;
     const uint32_t* first_slot;  // of each chunk
-    float* grads;          // planes like the parameters; written for groups of eight with a visible one
+    float* grads;          // planes like the parameters, from the Gaussian `first` on; written for groups of eight with a visible one
     size_t grads_stride;
-    bool* touched;         // per Gaussian: whether it was visible
+    bool* touched;         // per Gaussian from `first` on: whether it was visible
+    int first;
     double* pose;          // per chunk 6 sums (translation, rotation), or null
 };
 
@@ -160,9 +161,10 @@ struct GeoArgs {
 
 struct AdamArgs {
     float *params, *first, *second;
-    const float* grads;
+    const float* grads;    // from the Gaussian `grads_first` on, like touched
     size_t stride, first_stride, second_stride, grads_stride;
     int count, planes;     // Gaussians that have moments: the first ones of the map
+    int grads_first;
     const bool* touched;   // only these are updated; null = all
     const float* position_rate;  // per Gaussian factor on the rate of its position; null = 1
     const float* rates;    // of each plane

@@ -159,20 +159,51 @@ void Workspace::bin() {
     });
 }
 
-void Workspace::backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
-                         float* grads, size_t grads_stride, int learning, bool* touched, double* pose) {
-    const KernelTable& k = kernels();
+ProjectBackwardArgs Workspace::raster_backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
+                                               int count, bool with_pose) {
     float* slots = slots_.reserve(slots_used_ * SLOT);
     const RasterBackwardArgs raster{raster_args(), grad_color, grad_depth, grad_alpha, slots, first_slot_.data()};
-    pool().run(tiles_x_ * tiles_y_, [&](int tile) { k.raster_backward(raster, tile); });
-    const int chunks = (learning + CHUNK - 1) / CHUNK;
-    double* sums = pose == nullptr ? nullptr : pose_.reserve(static_cast<size_t>(chunks) * 6);
-    const ProjectBackwardArgs project{planes, stride, learning, degree_, view_, records_.data(), chunk_counts_.data(), place_.data(), slots, first_slot_.data(), grads, grads_stride, touched, sums};
-    pool().run(chunks, [&](int chunk) { k.project_backward(project, chunk); });
-    if (pose == nullptr) return;
+    pool().run(tiles_x_ * tiles_y_, [&](int tile) { kernels().raster_backward(raster, tile); });
+    ProjectBackwardArgs project{};
+    project.planes = planes, project.stride = stride, project.count = count, project.degree = degree_, project.view = view_;
+    project.records = records_.data(), project.chunk_starts = chunk_counts_.data(), project.place = place_.data();
+    project.slots = slots, project.first_slot = first_slot_.data();
+    project.pose = with_pose ? pose_.reserve(static_cast<size_t>((count + CHUNK - 1) / CHUNK) * 6) : nullptr;
+    return project;
+}
+
+void Workspace::sum_pose(int chunks, double* pose) const {
     std::fill(pose, pose + 6, 0.0);
     for (int c = 0; c < chunks; ++c)
-        for (int j = 0; j < 6; ++j) pose[j] += sums[6 * c + j];
+        for (int j = 0; j < 6; ++j) pose[j] += pose_.data()[6 * c + j];
+}
+
+void Workspace::backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
+                         float* grads, size_t grads_stride, int learning, bool* touched, double* pose) {
+    ProjectBackwardArgs project = raster_backward(planes, stride, grad_color, grad_depth, grad_alpha, learning, pose != nullptr);
+    project.grads = grads, project.grads_stride = grads_stride, project.touched = touched;
+    const int chunks = (learning + CHUNK - 1) / CHUNK;
+    pool().run(chunks, [&](int chunk) { kernels().project_backward(project, chunk); });
+    if (pose != nullptr) sum_pose(chunks, pose);
+}
+
+void Workspace::learn(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha, const AdamArgs& adam,
+                      double* pose) {
+    const int count = pose == nullptr ? adam.count : count_, chunks = (count + CHUNK - 1) / CHUNK;
+    const ProjectBackwardArgs all = raster_backward(planes, stride, grad_color, grad_depth, grad_alpha, count, pose != nullptr);
+    pool().run(chunks, [&](int chunk) {
+        static thread_local Buffer<float> grads;
+        static thread_local Buffer<bool> touched;
+        ProjectBackwardArgs project = all;
+        project.first = chunk * CHUNK, project.grads_stride = CHUNK;
+        project.grads = grads.reserve(static_cast<size_t>(planes_of(degree_)) * CHUNK), project.touched = touched.reserve(CHUNK);
+        kernels().project_backward(project, chunk);
+        if (project.chunk_starts[chunk] == project.chunk_starts[chunk + 1]) return;
+        AdamArgs step = adam;
+        step.grads = project.grads, step.grads_stride = CHUNK, step.grads_first = project.first, step.touched = project.touched;
+        kernels().adam(step, chunk);
+    });
+    if (pose != nullptr) sum_pose(chunks, pose);
 }
 
 size_t Workspace::bytes() const {

@@ -14,6 +14,9 @@ public:
     // Of the first `learning` Gaussians, of all for a `pose` (6 values, or null); null image gradients count as zero.
     void backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
                   float* grads, size_t grads_stride, int learning, bool* touched, double* pose);
+    // The same, and a step of Adam with the gradients, which are in memory for a chunk of Gaussians at a time.
+    void learn(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha, const AdamArgs& adam,
+               double* pose);
     int count() const { return count_; }
     int degree() const { return degree_; }
     int visible() const { return visible_; }
@@ -24,6 +27,10 @@ public:
 private:
     void project(const float* planes, size_t stride, int count, int degree, const View& view);
     RasterArgs raster_args() const;
+    // Runs the blending backwards; the rest is of chunks of the first `count` Gaussians.
+    ProjectBackwardArgs raster_backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
+                                        int count, bool with_pose);
+    void sum_pose(int chunks, double* pose) const;
     void sort_by_depth(int chunks);
     void bin();
 

@@ -1,5 +1,5 @@
 // Python bindings of the rasterizer, checked here once.
-#include "bindings.h"
+#include "adam.h"
 
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
@@ -59,23 +59,47 @@ void observe(bgs::Workspace& ws, const Planes& planes, const Matrix& T_cam_world
     ws.observe(planes.data(), stride, count, degree, view, pixels.data(), median_depth.data());
 }
 
+// Gradients of a loss by the three images, each null for zero.
+struct ByImages {
+    const float *color, *depth, *alpha;
+    ByImages(const bgs::Workspace& ws, const Planes& planes, const std::optional<Array3>& by_color, const std::optional<Array2>& by_depth,
+             const std::optional<Array2>& by_alpha)
+        : color(by_color ? by_color->data() : nullptr), depth(by_depth ? by_depth->data() : nullptr), alpha(by_alpha ? by_alpha->data() : nullptr) {
+        require(static_cast<int>(planes.shape(0)) == bgs::planes_of(ws.degree()) && static_cast<int>(planes.shape(1)) == ws.count(), "planes are not those of the forward pass");
+        if (by_color) check_image(*by_color, 3, ws.height(), ws.width(), "grad_color must have shape (3, H, W)");
+        if (by_depth) check_map(*by_depth, ws.height(), ws.width(), "grad_depth must have shape (H, W)");
+        if (by_alpha) check_map(*by_alpha, ws.height(), ws.width(), "grad_alpha must have shape (H, W)");
+    }
+};
+
 std::vector<double> backward(bgs::Workspace& ws, const Planes& planes, const std::optional<Array3>& grad_color,
                              const std::optional<Array2>& grad_depth, const std::optional<Array2>& grad_alpha, Planes& grads, Flags& touched,
                              bool pose) {
-    require(static_cast<int>(planes.shape(0)) == bgs::planes_of(ws.degree()) && static_cast<int>(planes.shape(1)) == ws.count(), "planes are not those of the forward pass");
+    const ByImages by(ws, planes, grad_color, grad_depth, grad_alpha);
     const size_t learning = grads.shape(1);
     require(grads.shape(0) == planes.shape(0) && learning <= planes.shape(1), "grads must have shape (P, M), M at most N");
     require(!pose || learning == planes.shape(1), "the gradient by the pose needs those of all Gaussians: grads must have shape (P, N)");
     require(touched.shape(0) == learning, "touched must have shape (M,), one entry per column of grads");
-    if (grad_color) check_image(*grad_color, 3, ws.height(), ws.width(), "grad_color must have shape (3, H, W)");
-    if (grad_depth) check_map(*grad_depth, ws.height(), ws.width(), "grad_depth must have shape (H, W)");
-    if (grad_alpha) check_map(*grad_alpha, ws.height(), ws.width(), "grad_alpha must have shape (H, W)");
     std::vector<double> twist(pose ? 6 : 0);
     const size_t stride = stride_of(planes, "planes"), grads_stride = stride_of(grads, "grads");
     nb::gil_scoped_release release;
-    ws.backward(planes.data(), stride, grad_color ? grad_color->data() : nullptr, grad_depth ? grad_depth->data() : nullptr,
-                grad_alpha ? grad_alpha->data() : nullptr, grads.data(), grads_stride, static_cast<int>(learning), touched.data(),
+    ws.backward(planes.data(), stride, by.color, by.depth, by.alpha, grads.data(), grads_stride, static_cast<int>(learning), touched.data(),
                 pose ? twist.data() : nullptr);
+    return twist;
+}
+
+std::vector<double> learn(bgs::Workspace& ws, const Planes& planes, const std::optional<Array3>& grad_color,
+                          const std::optional<Array2>& grad_depth, const std::optional<Array2>& grad_alpha, Planes& params, Planes& first,
+                          Planes& second, const std::optional<Array1>& position_rate, const std::vector<float>& rates, float beta1, float beta2,
+                          float epsilon, int step, bool pose) {
+    const ByImages by(ws, planes, grad_color, grad_depth, grad_alpha);
+    const bgs::AdamArgs adam = adam_args(params, first, second, position_rate, rates, beta1, beta2, epsilon, step);
+    require(params.data() == planes.data() && params.shape(0) == planes.shape(0) && adam.count <= ws.count(),
+            "params must be the first Gaussians of planes");
+    std::vector<double> twist(pose ? 6 : 0);
+    const size_t stride = stride_of(planes, "planes");
+    nb::gil_scoped_release release;
+    ws.learn(planes.data(), stride, by.color, by.depth, by.alpha, adam, pose ? twist.data() : nullptr);
     return twist;
 }
 
@@ -90,6 +114,9 @@ void bind_rasterizer(nb::module_& m) {
              "median_depth"_a.noconvert())
         .def("backward", &backward, "planes"_a.noconvert(), "grad_color"_a.noconvert().none(), "grad_depth"_a.noconvert().none(),
              "grad_alpha"_a.noconvert().none(), "grads"_a.noconvert(), "touched"_a.noconvert(), "pose"_a)
+        .def("learn", &learn, "planes"_a.noconvert(), "grad_color"_a.noconvert().none(), "grad_depth"_a.noconvert().none(),
+             "grad_alpha"_a.noconvert().none(), "params"_a.noconvert(), "first"_a.noconvert(), "second"_a.noconvert(),
+             "position_rate"_a.noconvert().none(), "rates"_a, "beta1"_a, "beta2"_a, "epsilon"_a, "step"_a, "pose"_a)
         .def_prop_ro("count", &bgs::Workspace::count)
         .def_prop_ro("visible", &bgs::Workspace::visible)
         .def_prop_ro("bytes", &bgs::Workspace::bytes);

@@ -394,14 +394,14 @@ class GaussianMapper(Mapper):
             raise BenchError(f"{step} (view of frame {number}, {size}): {error}") from error
         refine = self._refinement.on and not right
         by_color = self._appearance.back(by_color, shown, number, right, target.limit)
-        by_parameters = self._rasterizer.backward(
-            rendered, by_color, by_depth, by_alpha, pose=refine, learning=len(self._map.live)
-        )
+        by_images, live = (by_color, by_depth, by_alpha), self._map.live
         if map_learns:
-            self._optimizer.step(self._map.live, by_parameters)
+            twist = self._optimizer.learn(live, self._rasterizer, rendered, by_images, pose=refine)
+        else:
+            twist = self._rasterizer.backward(rendered, *by_images, pose=True, learning=0).twist
         if refine:
-            assert by_parameters.twist is not None
-            self._refinement.step(number, by_parameters.twist)
+            assert twist is not None
+            self._refinement.step(number, twist)
             self._replay.forget_view(number)
         return values
 

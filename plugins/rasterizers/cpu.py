@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
-from bench.contracts.rasterizer import Gradients, Observation, Rasterizer, Rendered
+from bench.contracts.rasterizer import AdamStep, Gradients, Observation, Rasterizer, Rendered
 from bench.registry import PluginConfig, register
 from bench.types import PinholeView
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 @register("rasterizer", "cpu")
 class CpuRasterizer(Rasterizer):
     """C++17 core, eight lanes wide, on all cores; the same bits for any number of threads."""
+
+    learns = True
 
     def __init__(self, config: PluginConfig) -> None:
         import bench._native as _native
@@ -46,6 +49,22 @@ class CpuRasterizer(Rasterizer):
             self._free.append(workspace)
             return Rendered(color, depth, alpha)
         return Rendered(color, depth, alpha, (workspace, planes))
+
+    def learn(
+        self,
+        rendered: Rendered,
+        grad_color: Tensor | None,
+        grad_depth: Tensor | None,
+        grad_alpha: Tensor | None,
+        step: AdamStep,
+        pose: bool = False,
+    ) -> Tensor | None:
+        workspace, planes = rendered.context
+        of_step = (getattr(step, each.name) for each in fields(step))
+        twist = workspace.learn(planes, grad_color, grad_depth, grad_alpha, *of_step, pose)
+        rendered.context = None
+        self._free.append(workspace)
+        return torch.tensor(twist, dtype=torch.float64) if pose else None
 
     def observe(self, planes: Tensor, view: PinholeView) -> Observation:
         workspace = self._free.pop() if self._free else self._native.Workspace()

@@ -14,7 +14,11 @@ import pytest
 import torch
 
 from bench import _native
+from bench.authoring.random_scenes import SceneSpec, image_gradients, random_scene
+from bench.contracts.rasterizer import AdamStep
 from bench.gaussians.schema import planes_of
+from bench.plugin_config import PluginConfig
+from plugins.rasterizers.cpu import CpuRasterizer
 
 
 @pytest.fixture(autouse=True)
@@ -116,6 +120,45 @@ def test_adam_is_that_of_torch_for_any_number_of_planes(degree: int) -> None:
             row.grad = grad
         theirs.step()
     torch.testing.assert_close(planes.double(), torch.stack(rows).detach(), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("pose", [False, True])
+@pytest.mark.parametrize(("degree", "count", "learning"), [(0, 5000, 5000), (0, 4100, 3003), (3, 2100, 2048)])
+def test_learning_at_once_gives_the_bits_of_backward_and_a_step(
+    degree: int, count: int, learning: int, pose: bool
+) -> None:
+    planes, view = random_scene(SceneSpec(2, count, 90, 50, 3.0, (0.1, 0.9), degree))
+    generator = torch.Generator().manual_seed(4)
+    moments = torch.randn(2, len(planes), learning, generator=generator).abs() * 1e-3
+    settings = (torch.rand(learning, generator=generator), [1e-2] * len(planes), 0.9, 0.99, 1e-15, 3)
+    results = []
+    for at_once in (False, True):
+        rasterizer, buffer, (first, second) = CpuRasterizer(PluginConfig("cpu")), planes.clone(), moments.clone()
+        rendered = rasterizer.render(buffer, view)
+        step = AdamStep(buffer[:, :learning], first, second, *settings)
+        if at_once:
+            twist = rasterizer.learn(rendered, *image_gradients(view, 1), step, pose)
+        else:
+            by = rasterizer.backward(rendered, *image_gradients(view, 1), pose=pose, learning=learning)
+            _native.adam_step(step.planes, first, second, by.planes, *settings, by.touched)
+            twist = by.twist
+        results.append([buffer, first, second, *([] if twist is None else [twist])])
+    for one, other in zip(*results, strict=True):
+        assert torch.equal(one, other)
+    assert len(results[0]) == 3 + pose
+    assert not torch.equal(results[0][0][:, :learning], planes[:, :learning])
+    assert torch.equal(results[0][0][:, learning:], planes[:, learning:])
+
+
+def test_learning_refuses_other_parameters() -> None:
+    planes, view = random_scene(SceneSpec(2, 50, 40, 30, 3.0, (0.1, 0.9)))
+    workspace, images = _native.Workspace(), [torch.zeros(shape) for shape in ((3, 30, 40), (30, 40), (30, 40))]
+    workspace.forward(planes, view.T_cam_world, view.fx, view.fy, view.cx, view.cy, *images)
+    rest = (torch.zeros(14, 50), torch.zeros(14, 50), None, [0.1] * 14, 0.9, 0.99, 1e-15, 1, False)
+    with pytest.raises(ValueError, match="params must be the first Gaussians of planes"):
+        workspace.learn(planes, *images, planes.clone(), *rest)
+    with pytest.raises(ValueError, match=r"grad_color must have shape \(3, H, W\)"):
+        workspace.learn(planes, torch.zeros(3, 20, 40), None, None, planes, *rest)
 
 
 def test_backward_without_its_forward_is_refused() -> None:
