@@ -13,6 +13,7 @@ from torch import Tensor
 
 from bench import _native
 from bench.contracts.rasterizer import Rasterizer
+from bench.gaussians.parameters import planes_from
 from bench.gaussians.schema import planes_of
 from bench.registry import PluginConfig
 from bench.types import PinholeView
@@ -289,6 +290,24 @@ def test_two_renders_before_the_first_backward() -> None:
     rasterizer.render(other_planes, other_view, differentiable=False)
     assert torch.equal(rasterizer.backward(first, *grads, pose=True).dense(), alone.planes)
     assert torch.equal(rasterizer.backward(second, *other_grads, pose=True).dense(), other_alone.planes)
+
+
+@pytest.mark.parametrize("length_m", [0.5, 7.4, 50.0, 1000.0])
+@pytest.mark.parametrize("turn", [0.3, np.pi / 4, 1.2])
+def test_a_needle_across_the_image_is_no_more_opaque_than_it_is(length_m: float, turn: float) -> None:
+    """The determinant of its covariance is the 1e-12th part of the products that it is the difference of."""
+    view = PinholeView(np.eye(4), 707.0, 707.0, 200.0, 60.0, 400, 120)
+    planes = planes_from(
+        torch.tensor([[0.1, -0.2, 5.0]]),
+        torch.tensor([[0.002, length_m, 0.00036]]),
+        torch.tensor([[np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)]]).float(),
+        torch.tensor([0.3]),
+        torch.tensor([[0.2, 0.5, 0.9]]),
+    )
+    found, true = cpu().render(planes, view), reference().render(planes.double(), view)
+    assert true.alpha.max() > 0.29
+    torch.testing.assert_close(found.alpha.double(), true.alpha, rtol=0, atol=0.01)
+    torch.testing.assert_close(found.color.double(), true.color, rtol=0, atol=0.01)
 
 
 def test_far_away_huge_and_tiny_gaussians_stay_finite() -> None:
