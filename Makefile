@@ -13,7 +13,7 @@ ifneq ($(wildcard ../shared/weights),)
 export BGS_WEIGHTS ?= $(abspath ../shared/weights)
 endif
 
-.PHONY: install run test quick check fuzz bench sanitize clean
+.PHONY: install run test quick check fuzz bench sanitize gpu-check clean
 
 install: $(STAMP)
 
@@ -49,6 +49,10 @@ fuzz: $(TESTING)
 
 bench: $(TESTING)
 	OMP_WAIT_POLICY=passive $(BIN)/python -m pytest tests/performance -s
+
+# On a machine with an NVIDIA GPU, by .venv or else by PYTHON as it is: nothing is installed (see README, "On a GPU").
+gpu-check:
+	$(or $(wildcard $(BIN)/python),$(PYTHON)) -m tools.gpu_check
 
 # The core built with the address and undefined-behaviour sanitizers, in a folder of its own, and its tests for each
 # instruction set; the first finding ends them. Python itself and torch leak at their end, so leaks are not looked for.

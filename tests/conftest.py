@@ -13,6 +13,7 @@ import pytest
 # As the command line does, and before torch is imported: OpenMP threads that wait must not take the cores from others.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
+import torch
 from hydra.core.config_store import ConfigStore
 
 from bench import registry
@@ -26,6 +27,12 @@ def _folder_from(variable: str) -> Path:
     if not value or not Path(value).is_dir():
         pytest.skip(f"{variable} is not set to an existing folder; see README, 'Tests with real data'")
     return Path(value).resolve()
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Tests marked ``cuda`` run where there is a device."""
+    if item.get_closest_marker("cuda") is not None and not torch.cuda.is_available():
+        pytest.skip("torch sees no CUDA device here")
 
 
 @pytest.fixture(scope="session")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 import types
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, relative_l2, render_and_back
@@ -14,9 +14,8 @@ from torch import Tensor
 
 from bench import registry
 from bench.errors import BenchError
-from bench.gaussians.spherical_harmonics import basis
+from bench.gaussians.schema import THRESHOLDS
 from bench.registry import PluginConfig
-from bench.types import PinholeView
 from plugins.rasterizers.cpu import CpuRasterizer
 from plugins.rasterizers.gsplat import GsplatRasterizer
 from plugins.rasterizers.reference import ReferenceRasterizer
@@ -37,6 +36,7 @@ def gsplat() -> GsplatRasterizer:
     return GsplatRasterizer(PluginConfig("gsplat"))
 
 
+@pytest.mark.cuda
 @pytest.mark.parametrize("spec", SPECS)
 def test_images_and_gradients_agree(gsplat: GsplatRasterizer, spec: SceneSpec) -> None:
     planes, view = random_scene(spec)
@@ -68,76 +68,85 @@ def test_unavailable_without_the_package(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "pip install 'bgs-slam-bench[cuda]'" in str(GsplatRasterizer.unavailable_reason())
 
 
-@pytest.mark.parametrize("spec", SPECS[1:])
-def test_what_is_handed_to_gsplat(monkeypatch: pytest.MonkeyPatch, spec: SceneSpec) -> None:
-    """Without a GPU: a stand-in paints, by our float64 reference, what gsplat would be given.
+@pytest.fixture
+def gsplat_in_torch(monkeypatch: pytest.MonkeyPatch) -> GsplatRasterizer:
+    """Our rasterizer in float64 on the CPU, calling gsplat's own ``rasterization`` with its kernels in torch.
 
-    So activations, pixel centres, axes, the pose and its gradients are right if the images are those of the reference.
+    All that gsplat does in Python is its own: the shapes that it accepts, its axes, the camera's place for the
+    harmonics, the depth channel. So is the arithmetic of its kernels: the package has a torch version of each for its
+    own tests. Only which pixels a Gaussian reaches, and the sum along a ray (from the package nerfacc there), are ours.
     """
-    reference = ReferenceRasterizer(PluginConfig("reference"))
+    rendering = pytest.importorskip("gsplat.rendering", reason="gsplat is not installed: pip install -e '.[dev]'")
+    kernels = importlib.import_module("gsplat.cuda._torch_impl")
 
-    def stand_in(**given: Any) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        assert (given["near_plane"], given["eps2d"], given["render_mode"]) == (0.2, 0.3, "RGB+D")
-        K, T = given["Ks"][0], given["viewmats"][0]
-        # World points and axes moved to the camera's frame by what was given, then seen from the identity.
-        focal_and_center = (float(v) for v in (K[0, 0], K[1, 1], K[0, 2] - 0.5, K[1, 2] - 0.5))
-        view = PinholeView(np.eye(4), *focal_and_center, given["width"], given["height"])
-        w, x, y, z = given["quats"].T
-        rows = [
-            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        ]
-        rotation = torch.stack(rows, 1).view(-1, 3, 3)
-        M = T[:3, :3] @ rotation * given["scales"][:, None, :]
-        monkeypatch.setattr(reference, "_image_covariance", lambda p, R, p_cam, z, v: _covariance(M, p_cam, z, v))
-        means = given["means"] @ T[:3, :3].T + T[:3, 3]
-        logits, colors = torch.logit(given["opacities"]), (_colors(**given) - 0.5) / 0.28209479177387814
-        planes = torch.cat([means.T, torch.zeros(7, len(means), dtype=means.dtype), logits[None], colors.T])
-        color, depth, alpha, visible = reference.splat(planes, view, torch.zeros(6, dtype=means.dtype))
-        images = torch.cat([color, depth[None]]).permute(1, 2, 0)
-        return images[None], alpha[None, ..., None], {"radii": visible[None, :, None].expand(1, -1, 2).int()}
+    def project(means: Tensor, covars: None, quats: Tensor, scales: Tensor, *where: Any, **given: Any) -> Any:
+        known = {key: given[key] for key in ("eps2d", "near_plane", "far_plane", "camera_model", "calc_compensations")}
+        covariances, _ = kernels._quat_scale_to_covar_preci(quats, scales, True, False)
+        return kernels._fully_fused_projection(means, covariances, *where, **known)
 
-    monkeypatch.setitem(sys.modules, "gsplat", types.SimpleNamespace(rasterization=stand_in))
+    def rasterize(
+        means: Tensor,
+        conics: Tensor,
+        channels: Tensor,
+        opacities: Tensor,
+        width: int,
+        height: int,
+        *tiles: Any,
+        **_: Any,
+    ) -> tuple[Tensor, Tensor]:
+        reached = tiles[2].unique().long()  # as a flat index of image and Gaussian: there is one image
+        order = reached[channels[0, reached, 3].detach().argsort(stable=True)]  # the fourth channel is the depth
+        pixels = torch.arange(width * height)
+        pairs = order.repeat(len(pixels)), pixels.repeat_interleave(len(order))
+        blended = kernels.accumulate(
+            means, conics, opacities, channels, *pairs, torch.zeros_like(pairs[0]), width, height
+        )
+        return blended[0], blended[1]
+
+    def weights(alphas: Tensor, ray_indices: Tensor, n_rays: int) -> tuple[Tensor, None]:
+        alpha = torch.where(alphas >= THRESHOLDS.alpha_min, alphas, 0.0).view(n_rays, -1)
+        following = torch.cumprod(1.0 - alpha, 1)
+        before = torch.cat([torch.ones_like(following[:, :1]), following[:, :-1]], 1)
+        return torch.where(following > THRESHOLDS.transmittance_end, alpha * before, 0.0).flatten(), None
+
+    def along_rays(weight: Tensor, values: Tensor | None, ray_indices: Tensor, n_rays: int) -> Tensor:
+        summed = weight[:, None] if values is None else weight[:, None] * values
+        return summed.view(n_rays, -1, summed.shape[1]).sum(1)
+
+    nerfacc = types.SimpleNamespace(render_weight_from_alpha=weights, accumulate_along_rays=along_rays)
+    monkeypatch.setitem(sys.modules, "nerfacc", nerfacc)
+    monkeypatch.setattr(rendering, "fully_fused_projection", project)
+    monkeypatch.setattr(rendering, "spherical_harmonics", lambda *given, masks: kernels._spherical_harmonics(*given))
+    monkeypatch.setattr(rendering, "isect_tiles", lambda *given, **_: kernels._isect_tiles(*given))
+    monkeypatch.setattr(rendering, "isect_offset_encode", kernels._isect_offset_encode)
+    monkeypatch.setattr(rendering, "rasterize_to_pixels", rasterize)
     mine = GsplatRasterizer(PluginConfig("gsplat"))
     mine.device, mine.precision = torch.device("cpu"), "float64"
-    planes, view = random_scene(spec)
+    return mine
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_gsplat_in_torch_agrees_with_the_reference(gsplat_in_torch: GsplatRasterizer, degree: int) -> None:
+    """What we hand to gsplat, and what we read from it: a wrong axis or argument needs no GPU to be found."""
+    planes, view = random_scene(SceneSpec(5, 90, 45, 26, 4.0, (0.1, 0.99), degree))
     planes, grads = planes.double(), tuple(g.double() for g in image_gradients(view, 1))
-    rendered, gradients = render_and_back(mine, planes, view, grads)  # type: ignore[arg-type]
-    monkeypatch.undo()
-    true, by_true = render_and_back(ReferenceRasterizer(PluginConfig("reference")), planes, view, grads)  # type: ignore[arg-type]
+    mine, by_mine = render_and_back(gsplat_in_torch, planes, view, grads)  # type: ignore[arg-type]
+    reference = ReferenceRasterizer(PluginConfig("reference"))
+    true, by_true = render_and_back(reference, planes, view, grads)  # type: ignore[arg-type]
     for name in ("color", "depth", "alpha"):
-        assert relative_l2(getattr(rendered, name), getattr(true, name)) < 1e-6, name
-    assert relative_l2(gradients.planes, by_true.planes) < 1e-5
-    assert relative_l2(gradients.twist, by_true.twist) < 1e-5  # type: ignore[arg-type]
-    assert torch.equal(gradients.touched, by_true.touched)
-
-
-def _colors(colors: Tensor, means: Tensor, viewmats: Tensor, sh_degree: int | None, **_: Any) -> Tensor:
-    """RGB (N, 3): as given, or from coefficients (N, K, 3), as gsplat documents ``sh_degree``."""
-    if sh_degree is None:
-        return colors
-    assert colors.shape == (len(means), (sh_degree + 1) ** 2, 3)
-    directions = torch.nn.functional.normalize(means - torch.inverse(viewmats[0])[:3, 3], dim=1)
-    return (0.5 + (basis(directions, sh_degree)[..., None] * colors).sum(1)).clamp_min(0.0)
+        assert relative_l2(getattr(mine, name), getattr(true, name)) < 1e-6, name
+    for group, rows in GROUPS.items():
+        assert relative_l2(by_mine.planes[rows], by_true.planes[rows]) < 1e-5, group
+    assert relative_l2(by_mine.twist, by_true.twist) < 1e-5  # type: ignore[arg-type]
+    # gsplat counts what its box around a Gaussian touches.
+    assert bool(by_mine.touched[by_true.touched].all())
+    assert not bool(by_mine.touched[::11].any()), "behind the camera"
 
 
 def test_gsplat_says_why_it_cannot_observe() -> None:
     planes, view = random_scene(SPECS[0])
     with pytest.raises(BenchError, match=r"do not give back a Gaussian's alpha at a pixel. Use mapper.rasterizer=cpu"):
         GsplatRasterizer(PluginConfig("gsplat")).observe(planes, view)
-
-
-def _covariance(M: Tensor, p_cam: Tensor, z: Tensor, view: PinholeView) -> Tensor:
-    """The reference's projected covariance for axes M (N, 3, 3) that are in the camera's frame already."""
-    margin_x, margin_y = 0.15 * view.width / view.fx, 0.15 * view.height / view.fy
-    right, bottom = (view.width - view.cx - 0.5) / view.fx, (view.height - view.cy - 0.5) / view.fy
-    rx = (p_cam[:, 0] / z).clamp(-((view.cx + 0.5) / view.fx + margin_x), right + margin_x)
-    ry = (p_cam[:, 1] / z).clamp(-((view.cy + 0.5) / view.fy + margin_y), bottom + margin_y)
-    zero = torch.zeros_like(z)
-    J = torch.stack([view.fx / z, zero, -view.fx * rx / z, zero, view.fy / z, -view.fy * ry / z], 1).view(-1, 2, 3)
-    A = J @ M
-    return A @ A.transpose(1, 2) + 0.3 * torch.eye(2, dtype=M.dtype)
 
 
 def test_an_empty_map_is_black(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -199,6 +199,54 @@ def test_stereo_and_performance_come_from_their_own_files(tmp_path: Path, capsys
     assert set(content["device"]) == {"cpu", "usable_cores", "gpu"}
 
 
+def sample_of_a_gpu() -> dict[str, Any]:
+    stages = {"render": 2.0, "losses": 1.0, "backward": 4.0, "adam": 1.0}
+    step = {"step_ms": 8.0, "stages_ms": stages, "gpu_memory_gb": 1.25, "mm_gpu_ms": 0.0512, "mm_cpu_ms": 4.02}
+    errors = {name: [0.0, 2e-6, 1e-3, 1e-2] for name in ("color", "depth", "alpha")} | {"means": [0.0, 3e-4, 1.0, 2.0]}
+    rows = [{"gaussians": 100_000, **step, "step_ms": 2.56}, {"gaussians": 1_000_000, **step}]
+    runs = [
+        {"system": "bgs_slam_fast", "rasterizer": "gsplat", "frames_per_s": 6.54, "psnr_db": 24.567},
+        {"system": "bgs_slam_fast", "rasterizer": "cpu", "frames_per_s": 1.0, "psnr_db": 24.5},
+    ]
+    return {
+        "format": 1,
+        "device": {
+            **{"gpu": "NVIDIA X", "driver": "580.1", "cuda": "13.0", "torch": "2.11", "gsplat": "1.5.3"},
+            "date": "2026-11-30",
+        },
+        "parts": {
+            "kernels": {"status": "done", "seconds": 100.0, "result": {"alpha": 0.5}},
+            "conformance": {"status": "done", "seconds": 9.0, "result": {"errors": {"a": {"cpu": errors}}}},
+            "mapping_step": {
+                "status": "out of time",
+                "seconds": 90.0,
+                "result": {"rows": [*rows, {"gaussians": 5_000_000, "reason": "out of memory"}]},
+            },
+            "whole_system": {"status": "failed", "seconds": 90.0, "reason": "...", "result": {"rows": runs}},
+            "marked_tests": {"status": "left out", "seconds": 0.0, "reason": "..."},
+        },
+    }
+
+
+def test_gpus_have_a_row_each_once_they_were_measured(tmp_path: Path) -> None:
+    kept = tmp_path / "results" / "tables"
+    assert BLOCKS["gpu"].make(kept, tmp_path) == "", "no table before the first file"
+    (kept.parent / "gpu").mkdir(parents=True)
+    file = kept.parent / "gpu" / "nvidia-x.json"
+    write_json(file, sample_of_a_gpu())
+    (row,) = rows_of(BLOCKS["gpu"].make(kept, tmp_path))[1:]
+    assert row == [
+        "[NVIDIA X](results/gpu/nvidia-x.json), driver 580.1, CUDA 13.0, torch 2.11, gsplat 1.5.3; 2026-11-30",
+        *("2.6 / 8.0 / -", "25 / 12 / 50 / 12", "1.2 / 1.2 / -", "6.54 / -", "24.57 / -", "2.0e-06 / 3.0e-04", "-"),
+        "0.05 / 4.0",
+    ]
+    spoilt = sample_of_a_gpu()
+    spoilt["parts"]["mapping_step"]["result"]["rows"][0].pop("step_ms")
+    write_json(file, spoilt)
+    with pytest.raises(BenchError, match=r"nvidia-x\.json is damaged \(KeyError\('step_ms'\)\)"):
+        BLOCKS["gpu"].make(kept, tmp_path)
+
+
 def test_a_table_of_the_paper_stands_in_the_readme(tmp_path: Path) -> None:
     for seed in (0, 1, 2):
         make_run(tmp_path / "runs" / str(seed), config("03", seed=seed), metrics(801, psnr_db=20.0 + seed))

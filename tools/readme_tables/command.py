@@ -14,7 +14,7 @@ from tools.readme_tables.definitions import BLOCKS
 from tools.readme_tables.performance import FILE, performance_text
 
 _ABOUT = f"""Rewrites the tables of a Markdown file, each between <!-- table: NAME --> and <!-- end -->, from the files
-kept in results/tables. NAME is one of {", ".join(BLOCKS)}.
+kept in results/tables (gpu: in results/gpu). NAME is one of {", ".join(BLOCKS)}.
 A table whose files are not kept yet stays as it is and is named."""
 
 _EXAMPLES = """examples:

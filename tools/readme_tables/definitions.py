@@ -29,6 +29,7 @@ from tools.readme_tables.columns import (
     run_table,
     text_table,
 )
+from tools.readme_tables.gpu import gpu_table
 
 _STAGES = "+".join(f"resources.{stage}_s_per_frame" for stage in ("tracking", "stereo", "mapping"))
 
@@ -258,6 +259,7 @@ def _of_table(name: str) -> Callable[[Path, Path], str]:
 BLOCKS = {
     "kitti06": Block((f"kitti06{SUFFIX}",), _measured),
     "performance": Block((performance.FILE,), _performance),
+    "gpu": Block((), gpu_table),
     "trackers": Block((f"trackers{SUFFIX}",), _trackers),
     "circuits": Block((f"circuits{SUFFIX}",), _circuits),
     "stereo": Block(("stereo_kitti06.csv",), _stereo),

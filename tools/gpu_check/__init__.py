@@ -1,0 +1,1 @@
+"""``make gpu-check``: what gsplat and the whole system do on this machine's GPU, in eight minutes at most."""
