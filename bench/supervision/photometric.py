@@ -40,4 +40,4 @@ def photometric(color: Tensor, target: Target, weights: Photometric) -> tuple[Ph
         terms = (error.abs().mean(), error.square().mean(), 1.0 - ssim(leaf, target.image, target.local_statistics))
         (weights.l1 * terms[0] + weights.l2 * terms[1] + weights.dssim * terms[2]).backward()
     assert leaf.grad is not None
-    return Photometric(*(float(term) for term in terms)), leaf.grad
+    return Photometric(*(float(term.detach()) for term in terms)), leaf.grad

@@ -48,7 +48,8 @@ class CpuRasterizer(Rasterizer):
         if not differentiable:
             self._free.append(workspace)
             return Rendered(color, depth, alpha)
-        return Rendered(color, depth, alpha, (workspace, planes))
+        # The backward pass reads the images again: they must live as long as the context does.
+        return Rendered(color, depth, alpha, (workspace, planes, (color, depth, alpha)))
 
     def learn(
         self,
@@ -59,7 +60,7 @@ class CpuRasterizer(Rasterizer):
         step: AdamStep,
         pose: bool = False,
     ) -> Tensor | None:
-        workspace, planes = rendered.context
+        workspace, planes, _images = rendered.context
         of_step = (getattr(step, each.name) for each in fields(step))
         twist = workspace.learn(planes, grad_color, grad_depth, grad_alpha, *of_step, pose)
         rendered.context = None
@@ -84,7 +85,7 @@ class CpuRasterizer(Rasterizer):
         pose: bool = False,
         learning: int | None = None,
     ) -> Gradients:
-        workspace, planes = rendered.context
+        workspace, planes, _images = rendered.context
         rows, count = len(planes), planes.shape[1] if pose or learning is None else learning
         if len(self._gradients) != rows or self._gradients.shape[1] < count:
             # Not a multiple of 4 KiB between rows: all would want the same lines of the cache (Adam 1.6 times as long).

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 class GsplatRasterizer(AutogradRasterizer):
     """gsplat 1.5.3 on CUDA, for large maps on a GPU.
 
-    Written from gsplat's documented interface; it has not been run yet, because no GPU was at hand. The test
-    ``tests/rasterizers/test_gsplat_rasterizer.py`` compares it with ``cpu`` and ``reference`` where there is one.
+    It has not run on a GPU yet, because none was at hand; ``make gpu-check`` compares it with ``cpu`` and ``reference``
+    on one. What is handed to gsplat is tested on the CPU, with gsplat's own Python code and its kernels in torch.
     """
 
     def __init__(self, config: PluginConfig) -> None:

@@ -15,7 +15,8 @@ import torch
 from bench.authoring.random_scenes import SceneSpec
 from bench.errors import BenchError
 from bench.types import PinholeView
-from tools.gpu_check import command, conformance, device, mapping_step, marked_tests, whole_system
+from tools.gpu_check import command, conformance, device, kernels, mapping_step, marked_tests, whole_system
+from tools.gpu_check.kernels import measure as kernels_of
 from tools.gpu_check.parts import PARTS, Outcome, Part, run_in_process, run_parts
 
 SMALL = {"degree 1": SceneSpec(1, 60, 40, 30, 3.0, (0.1, 0.9), 1)}
@@ -126,6 +127,12 @@ def test_what_is_known_is_written_after_each_part(
     assert "mapping_step: failed, 1 s: broke\n" in capsys.readouterr().out
 
 
+def test_a_part_writes_what_it_measures(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(kernels, "measure", lambda: kernels_of("cpu"))
+    assert command.main(["--part", "kernels", "--to", str(tmp_path / "kernels.json")]) == 0
+    assert 0 < json.loads((tmp_path / "kernels.json").read_text())["alpha"] < 1
+
+
 def test_conformance_of_the_core() -> None:
     """Against itself the core differs by nothing, against the reference by float32's rounding."""
     (found,) = conformance.measure("cpu", SMALL, None)
@@ -216,13 +223,15 @@ def test_frames_come_from_kitti_where_it_is(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_whole_system_on_a_small_street(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(whole_system, "yardstick", dict)
-    frames = ["dataset=street", "dataset.frames=2", "dataset.width=160", "dataset.height=64"]
-    few = [f"mapper.{name}=1" for name in ("iterations", "final_iterations", "final_coarse_iterations")]
+    frames = ["dataset=street", "dataset.frames=2", "dataset.width=64", "dataset.height=32"]
+    few = ["tracker=groundtruth"] + [
+        f"mapper.{name}=1" for name in ("iterations", "final_iterations", "final_coarse_iterations")
+    ]
     (found,) = whole_system.measure([("bgs_slam_fast", "cpu")], frames, few)
     row = found["rows"][0]
     assert found["frames"] == " ".join(frames)
     assert row["frames_per_s"] == pytest.approx(1 / row["wall_s_per_frame"])
-    assert row["gaussians"] > 100
+    assert row["gaussians"] > 50
     assert 5 < row["psnr_db"] < 40
     assert row["mapping_s_per_frame"] > 0
 
@@ -231,13 +240,15 @@ def test_tests_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """By reports as pytest gives them: two phases of a test that passes, one skipped in its set-up, one that fails."""
 
     def ended(arguments: list[str], plugins: list[marked_tests._Counts]) -> int:
-        assert arguments[-3:] == ["-m", "cuda", "tests"]
+        marked = [f"tests/rasterizers/test_{name}.py" for name in ("gsplat_rasterizer", "off_the_cpu")]
+        assert arguments[-4:] == ["-m", "cuda", *marked]
         for when, outcome in (("setup", "passed"), ("call", "passed"), ("setup", "skipped"), ("call", "failed")):
             plugins[0].pytest_runtest_logreport(
                 pytest.TestReport(f"t::{when}", ("t", 1, "t"), {}, outcome, None, when)  # type: ignore[arg-type]
             )
         return 1
 
+    monkeypatch.chdir(Path(__file__).parents[2])
     monkeypatch.setattr(pytest, "main", ended)
     measured = marked_tests.measure()
     assert next(measured) == {"passed": 1, "skipped": 1, "failed": ["t::call"]}

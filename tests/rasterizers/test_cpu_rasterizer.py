@@ -12,7 +12,7 @@ from random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, rela
 from torch import Tensor
 
 from bench import _native
-from bench.contracts.rasterizer import Rasterizer
+from bench.contracts.rasterizer import Rasterizer, Rendered
 from bench.gaussians.parameters import planes_from
 from bench.gaussians.schema import planes_of
 from bench.registry import PluginConfig
@@ -308,6 +308,18 @@ def test_a_needle_across_the_image_is_no_more_opaque_than_it_is(length_m: float,
     assert true.alpha.max() > 0.29
     torch.testing.assert_close(found.alpha.double(), true.alpha, rtol=0, atol=0.01)
     torch.testing.assert_close(found.color.double(), true.color, rtol=0, atol=0.01)
+
+
+def test_images_may_be_let_go_before_the_backward_pass() -> None:
+    """The backward pass reads them again; what then lies in their memory must not count."""
+    planes, view = random_scene(SCENES["long, opaque, 70x41"])
+    grads = image_gradients(view, 1)
+    alone = render_and_back(cpu(), planes, view, grads)[1]
+    rasterizer = cpu()
+    context = rasterizer.render(planes, view).context
+    others = [torch.full(shape, torch.nan) for shape in ((3, 41, 70), (41, 70)) for _ in range(8)]
+    gone = Rendered(others[0], others[-1], others[-2], context)
+    assert torch.equal(rasterizer.backward(gone, *grads).dense(), alone.planes)
 
 
 def test_far_away_huge_and_tiny_gaussians_stay_finite() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 import types
+from contextlib import nullcontext
 from typing import Any
 
 import pytest
@@ -13,12 +14,14 @@ from random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, rela
 from torch import Tensor
 
 from bench import registry
+from bench.contracts.rasterizer import Gradients, Rendered
 from bench.errors import BenchError
 from bench.gaussians.schema import THRESHOLDS
 from bench.registry import PluginConfig
 from plugins.rasterizers.cpu import CpuRasterizer
 from plugins.rasterizers.gsplat import GsplatRasterizer
 from plugins.rasterizers.reference import ReferenceRasterizer
+from tests.pretended_device import pretended_device
 
 SPECS = [
     SceneSpec(1, 203, 70, 41, 1.2, (0.05, 0.5)),
@@ -96,7 +99,7 @@ def gsplat_in_torch(monkeypatch: pytest.MonkeyPatch) -> GsplatRasterizer:
     ) -> tuple[Tensor, Tensor]:
         reached = tiles[2].unique().long()  # as a flat index of image and Gaussian: there is one image
         order = reached[channels[0, reached, 3].detach().argsort(stable=True)]  # the fourth channel is the depth
-        pixels = torch.arange(width * height)
+        pixels = torch.arange(width * height, device=means.device)
         pairs = order.repeat(len(pixels)), pixels.repeat_interleave(len(order))
         blended = kernels.accumulate(
             means, conics, opacities, channels, *pairs, torch.zeros_like(pairs[0]), width, height
@@ -125,12 +128,19 @@ def gsplat_in_torch(monkeypatch: pytest.MonkeyPatch) -> GsplatRasterizer:
     return mine
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_gsplat_in_torch_agrees_with_the_reference(gsplat_in_torch: GsplatRasterizer, degree: int) -> None:
+@pytest.mark.parametrize(("degree", "off_the_cpu"), [(0, False), (1, True), (2, False), (3, False)])
+def test_gsplat_in_torch_agrees_with_the_reference(
+    gsplat_in_torch: GsplatRasterizer, degree: int, off_the_cpu: bool
+) -> None:
     """What we hand to gsplat, and what we read from it: a wrong axis or argument needs no GPU to be found."""
     planes, view = random_scene(SceneSpec(5, 90, 45, 26, 4.0, (0.1, 0.99), degree))
     planes, grads = planes.double(), tuple(g.double() for g in image_gradients(view, 1))
-    mine, by_mine = render_and_back(gsplat_in_torch, planes, view, grads)  # type: ignore[arg-type]
+    with pretended_device() if off_the_cpu else nullcontext(torch.device("cpu")) as device:
+        gsplat_in_torch.device = device
+        given = planes.to(device), view, tuple(g.to(device) for g in grads)
+        mine, by_mine = render_and_back(gsplat_in_torch, *given)  # type: ignore[arg-type]
+        mine = Rendered(mine.color.cpu(), mine.depth.cpu(), mine.alpha.cpu())
+        by_mine = Gradients(by_mine.planes.cpu(), by_mine.touched.cpu(), by_mine.twist.cpu())  # type: ignore[union-attr]
     reference = ReferenceRasterizer(PluginConfig("reference"))
     true, by_true = render_and_back(reference, planes, view, grads)  # type: ignore[arg-type]
     for name in ("color", "depth", "alpha"):

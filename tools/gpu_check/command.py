@@ -7,10 +7,9 @@ import importlib
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from bench.errors import BenchError
 from bench.io.atomic import write_json
@@ -74,7 +73,10 @@ def check(out: Path, seconds: float) -> int:
 
     device = describe_device()
     file = out / file_name(device["gpu"])
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BenchError(f"Can't make the folder {out}: {error.strerror}. Give another --out.") from error
     # gsplat compiles with ten processes unless it is told.
     environment = os.environ | {"MAX_JOBS": os.environ.get("MAX_JOBS", str(device["usable_cores"]))}
     parts: dict[str, Outcome] = {}
@@ -99,18 +101,5 @@ def measure_part(name: str, file: Path) -> None:
     from bench.discovery import load_plugins
 
     load_plugins()
-    measure = build_kernels if name == "kernels" else importlib.import_module(f"tools.gpu_check.{name}").measure
-    for result in measure():
+    for result in importlib.import_module(f"tools.gpu_check.{name}").measure():
         write_json(file, result)
-
-
-def build_kernels(rasterizer: str = "gsplat") -> Iterator[dict[str, Any]]:
-    """gsplat builds its kernels when they are used for the first time."""
-    from bench.authoring.random_scenes import SceneSpec, image_gradients, random_scene, render_and_back
-    from bench.registry import PluginConfig, build
-
-    mine = build(PluginConfig(rasterizer), "rasterizer")
-    planes, view = random_scene(SceneSpec(1, 10, 16, 16, 1.2, (0.5, 0.9), 1))
-    grads = tuple(grad.to(mine.device) for grad in image_gradients(view, 1))
-    rendered, _ = render_and_back(mine, planes.to(mine.device), view, grads)
-    yield {"alpha": float(rendered.alpha.mean())}

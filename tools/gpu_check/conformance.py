@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from bench.authoring.random_scenes import GROUPS, SceneSpec, image_gradients, random_scene, render_and_back
@@ -55,7 +55,7 @@ def measure(
         raise BenchError(f"{rasterizer} differs by more than it may: {'; '.join(found['beyond'])}.")
 
 
-def compare(mine: Rasterizer, other: Rasterizer, spec: SceneSpec) -> dict[str, Sequence[float]]:
+def compare(mine: Rasterizer, other: Rasterizer, spec: SceneSpec) -> dict[str, list[float]]:
     """``QUANTILES`` of the errors of colour, depth, alpha, of the gradients of each group, and of the twist's."""
     planes, view = random_scene(spec)
     results = []

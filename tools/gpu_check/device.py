@@ -71,8 +71,8 @@ def staged(device: torch.device, stages: dict[str, Callable[[], object]]) -> dic
 def _mark(device: torch.device) -> Any:
     if device.type != "cuda":
         return time.perf_counter()
-    event = torch.cuda.Event(enable_timing=True)  # type: ignore[no-untyped-call]
-    event.record()  # type: ignore[no-untyped-call]
+    event = torch.cuda.Event(enable_timing=True)
+    event.record()
     return event
 
 
