@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 from typing import TYPE_CHECKING
 
@@ -33,9 +34,15 @@ class GsplatRasterizer(AutogradRasterizer):
 
     @classmethod
     def unavailable_reason(cls) -> str | None:
-        """None, or what is missing: the package, or a CUDA device (asked last, since that imports torch)."""
+        """None, or what is missing: the package, the driver, a CUDA device (last, since that imports torch)."""
         if importlib.util.find_spec("gsplat") is None:
             return "gsplat is not installed. With a GPU: pip install 'bgs-slam-bench[cuda]'; else mapper.rasterizer=cpu"
+        try:
+            ctypes.CDLL("libcuda.so.1")
+        except OSError:
+            return (
+                "there is no NVIDIA driver (libcuda.so.1). Use mapper.rasterizer=cpu, or a machine with an NVIDIA GPU"
+            )
         if not torch.cuda.is_available():
             return "torch sees no CUDA device. Use mapper.rasterizer=cpu, or a GPU and a CUDA build of torch"
         return None

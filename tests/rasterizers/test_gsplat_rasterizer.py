@@ -59,9 +59,16 @@ def test_images_and_gradients_agree(gsplat: GsplatRasterizer, spec: SceneSpec) -
         assert relative_l2(by_mine.twist.cpu(), by_true.twist) < 1e-2
 
 
+def _no_driver(name: str) -> None:
+    raise OSError(f"{name}: cannot open shared object file")
+
+
 def test_unavailable_without_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr("plugins.rasterizers.gsplat.importlib.util.find_spec", lambda name: object())
+    monkeypatch.setattr("plugins.rasterizers.gsplat.ctypes.CDLL", _no_driver)
+    assert "no NVIDIA driver" in str(GsplatRasterizer.unavailable_reason())
+    monkeypatch.setattr("plugins.rasterizers.gsplat.ctypes.CDLL", lambda name: None)
     assert "no CUDA device" in str(registry.lookup("rasterizer", "gsplat").unavailable_reason())
 
 
