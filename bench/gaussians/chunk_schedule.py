@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,11 +14,11 @@ from bench.types import Float
 @dataclass
 class ChunkSchedule:
     """Keyframes in chunks of neighbours: the newest one is ``open``, older ones are ``waiting`` for their last
-    optimisation, and ``frozen`` ones are done. All but the frozen ones are live.
+    optimisation, and then go. All that have not gone are live.
 
-    ``again``: live keyframes that have been frozen before. ``length_m``: way of the camera in a chunk. ``behind_m``:
-    how far the camera is from all of a chunk that is due; the oldest one is due, too, with more than ``most`` live
-    keyframes. With an infinite ``behind_m`` none ever is.
+    ``passing``: live keyframes at places where others, which have gone, were before. ``length_m``: way of the camera in
+    a chunk. ``behind_m``: how far the camera is from all of a chunk that is due; the oldest one is due, too, with more
+    than ``most`` live keyframes. With an infinite ``behind_m`` none ever is.
     """
 
     length_m: float
@@ -26,8 +26,7 @@ class ChunkSchedule:
     most: int
     open: list[int] = field(default_factory=list)
     waiting: list[list[int]] = field(default_factory=list)
-    frozen: list[list[int]] = field(default_factory=list)
-    again: set[int] = field(default_factory=set)
+    passing: set[int] = field(default_factory=set)
 
     @property
     def live(self) -> list[int]:
@@ -53,37 +52,16 @@ class ChunkSchedule:
             if (crowded and at == 0) or min(np.linalg.norm(pose_of(n)[:3, 3] - place) for n in chunk) >= self.behind_m
         ]
 
-    def to_reopen(self, near: Collection[int]) -> list[list[int]]:
-        """The frozen chunks with one of the keyframes ``near``, as long as there may be more live keyframes."""
-        found, count = [], len(self.live)
-        for chunk in self.frozen if near else ():
-            if not set(near).isdisjoint(chunk) and count + len(chunk) <= self.most:
-                found.append(chunk)
-                count += len(chunk)
-        return found
-
-    def was_frozen(self, chunk: Sequence[int]) -> bool:
-        """Whether the chunk of these keyframes, or a part of it, has been frozen before."""
-        return not self.again.isdisjoint(chunk)
-
     def freeze(self, chunk: list[int]) -> None:
         """A waiting chunk is done."""
         self.waiting.remove(chunk)
-        self.frozen.append(chunk)
-        self.again -= set(chunk)
-
-    def reopen(self, chunk: list[int]) -> None:
-        """A frozen chunk lives again."""
-        self.frozen.remove(chunk)
-        self.waiting.insert(0, chunk)
-        self.again |= set(chunk)
+        self.passing -= set(chunk)
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint."""
-        chunks = {name: [list(chunk) for chunk in getattr(self, name)] for name in ("waiting", "frozen")}
-        return {"open": list(self.open), **chunks, "again": sorted(self.again)}
+        waiting = [list(chunk) for chunk in self.waiting]
+        return {"open": list(self.open), "waiting": waiting, "passing": sorted(self.passing)}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Resume from what ``state`` gave."""
-        self.open, self.waiting, self.frozen = list(state["open"]), list(state["waiting"]), list(state["frozen"])
-        self.again = set(state["again"])
+        self.open, self.waiting, self.passing = list(state["open"]), list(state["waiting"]), set(state["passing"])

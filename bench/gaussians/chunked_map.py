@@ -160,16 +160,6 @@ class ChunkedMap:
         live.keep(torch.from_numpy(~goes).to(live.device))
         live.forget_keyframes(leaves)
 
-    def reopen(self, keyframes: Sequence[int]) -> None:
-        """Let the Gaussians of the blocks of these keyframes live again; Adam's moments begin at zero."""
-        for block in [block for block in self._blocks.values() if set(block.keyframes) <= set(keyframes)]:
-            stored = self._map_of(block)
-            if stored is not None:
-                self.live.absorb(stored)
-                self._drop(block)
-        stays = ~np.isin(self._numbers, keyframes)
-        self._set_poses(self._numbers[stays], self._poses[stays])
-
     def follow(self, trajectory: Trajectory) -> MapMotion:
         """As ``GaussianMap.follow`` of the live ones; blocks follow when they are next looked at."""
         rows, there = matches(self._numbers, trajectory.numbers)

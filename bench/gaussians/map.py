@@ -163,13 +163,6 @@ class GaussianMap:
         self.anchor[which] = keyframes.to(self.anchor)
         self.keep(torch.argsort(self.anchor, stable=True))
 
-    def absorb(self, other: GaussianMap) -> None:
-        """Take over Gaussians and keyframes of a map of the same degree, none of whose keyframes this one has."""
-        known = len(self._numbers)
-        self._numbers = np.concatenate([self._numbers, other._numbers])
-        self._T_world_cam = np.concatenate([self._T_world_cam, other._T_world_cam])
-        self._grow({name: getattr(other, name) for name in _COLUMNS} | {"anchor": other.anchor + known})
-
     def forget_keyframes(self, which: npt.NDArray[np.bool_]) -> None:
         """Forget keyframes of the mask (K,), which no Gaussian has any more."""
         stays = ~which

@@ -74,7 +74,8 @@ class GaussianMapperConfig(PluginConfig):
     """The images of so many keyframes stay in memory; those of older ones are learned from again from disk. In chunks,
     the oldest one goes to disk, too, with more keyframes than this."""
     revisit_m: float = 15.0
-    """A chunk on disk is learned from again when the camera comes so near to one of its keyframes."""
+    """Where a keyframe comes so near to one whose chunk is on disk, the place is known: Gaussians of it that this chunk
+    has, too, are dropped."""
     far_m: float = 120.0
     """Chunks on disk are drawn as far as this."""
     detail_m: float = 40.0

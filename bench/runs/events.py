@@ -29,7 +29,6 @@ _IN_WORDS = {
     "{largest_m:.3f} m and {largest_deg:.3f} degrees",
     "pruned": "frame {frame}: {count} Gaussians pruned",
     "chunk_frozen": "frame {frame}: the map of keyframes {first} to {last} is done and on disk",
-    "chunk_reopened": "frame {frame}: back at keyframes {first} to {last}, whose map learns again",
     "passes_merged": "frame {frame}: {count} Gaussians dropped that an earlier pass of the place has, too",
     "warning": "{text}",
     "no_depth": "frame {frame}: {source} knows no depth at all",
@@ -59,7 +58,7 @@ def _level(event: Event) -> int:
         event.values.get("largest_m", inf) <= _WORTH_TELLING_M
         and event.values.get("largest_deg", inf) <= _WORTH_TELLING_DEG
     )
-    if small_move or event.kind in ("pruned", "chunk_frozen", "chunk_reopened"):
+    if small_move or event.kind in ("pruned", "chunk_frozen"):
         return logging.DEBUG
     return logging.WARNING if event.kind in ("lost", "warning", "no_depth") else logging.INFO
 

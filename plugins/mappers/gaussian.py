@@ -232,16 +232,14 @@ class GaussianMapper(Mapper):
             raise CannotRenderError(_lost_in_words(block))
 
     def _come_to(self, number: int) -> None:
-        """A new keyframe is there: what was left behind near its place lives again."""
+        """A new keyframe is there; what was left behind near its place is drawn."""
         self._schedule.add(number, self._replay.keyframes.pose)
         live, most = self._schedule.live, self.config.live_keyframes
         if len(live) > most and self._room:
             self._page(live[-most - 1])
         place = self._replay.place(number)
-        for chunk in self._schedule.to_reopen(self._map.keyframes_within(place, self.config.revisit_m)):
-            self._map.reopen(chunk)
-            self._schedule.reopen(chunk)
-            self._happened.append(("chunk_reopened", {"first": chunk[0], "last": chunk[-1]}))
+        if self._map.keyframes_within(place, self.config.revisit_m):
+            self._schedule.passing.add(number)
         self._map.look_from(place)
 
     def _page(self, number: int) -> None:
@@ -274,10 +272,8 @@ class GaussianMapper(Mapper):
 
     def _last_optimisation(self, numbers: Sequence[int], of_rest: bool = False) -> LastOptimisation:
         c = self.config
-        again = not of_rest and self._schedule.was_frozen(numbers)
-        coarse = 0 if again else c.final_coarse_iterations
-        seeds = c.refine_stride > 0 and not again
-        return LastOptimisation(list(numbers), self._neighbours(numbers), coarse, c.final_iterations, seeds, of_rest)
+        neighbours, counts = self._neighbours(numbers), (c.final_coarse_iterations, c.final_iterations)
+        return LastOptimisation(list(numbers), neighbours, *counts, seeds=c.refine_stride > 0, of_rest=of_rest)
 
     def _neighbours(self, numbers: Sequence[int]) -> list[int]:
         """Other keyframes, live or on disk, not farther from these than ``live_m``."""
@@ -312,20 +308,19 @@ class GaussianMapper(Mapper):
             last.neighbours.remove(number)
 
     def _merge_passes(self, numbers: Sequence[int]) -> None:
-        """Where the camera has come back, drop Gaussians of these keyframes that an earlier pass has, too: those from
-        before the loop closed lie beside its own."""
+        """Where the camera has come back, drop Gaussians of these keyframes that the map of an earlier pass has, too:
+        those from before the loop closed lie beside its own."""
+        passing = [number for number in numbers if number in self._schedule.passing]
         live, anchor = self._map.live, self._map.live.anchor.long().cpu().numpy()
-        again = self._schedule.again
-        passing = [n for n in numbers if n not in again and self._near(n, again, self.config.revisit_m)]
-        earlier, now = (np.isin(live.keyframes, list(of))[anchor.clip(0)] & (anchor >= 0) for of in (again, passing))
-        if not (earlier.any() and now.any()):
-            return
-        new = torch.from_numpy(np.flatnonzero(now)).to(live.device)
-        old = torch.from_numpy(np.flatnonzero(earlier)).to(live.device)
-        views = ((self._replay.view(number), self._in_map(number)) for number in passing)
+        now = (
+            np.flatnonzero(np.isin(live.keyframes, passing)[anchor.clip(0)] & (anchor >= 0)) if passing else anchor[:0]
+        )
         planes = self._map.seen_from(self._replay.place(numbers[-1]))
-        on_disk = planes[:, len(live) :]
-        double = duplicates(torch.cat([planes[:, old], on_disk], 1), planes[:, new], views, self._rasterizer)
+        earlier, new = planes[:, len(live) :], torch.from_numpy(now).to(live.device)
+        if not (len(new) and earlier.shape[1]):
+            return
+        views = ((self._replay.view(number), self._in_map(number)) for number in passing)
+        double = duplicates(earlier, planes[:, new], views, self._rasterizer)
         if bool(double.any()):
             self._happened.append(("passes_merged", {"count": int(double.sum())}))
             keep = torch.ones(len(live), dtype=torch.bool, device=live.device)
