@@ -16,9 +16,8 @@ class ChunkSchedule:
     """Keyframes in chunks of neighbours: the newest one is ``open``, older ones are ``waiting`` for their last
     optimisation, and then go. All that have not gone are live.
 
-    ``passing``: live keyframes at places where others, which have gone, were before. ``length_m``: way of the camera in
-    a chunk. ``behind_m``: how far the camera is from all of a chunk that is due; the oldest one is due, too, with more
-    than ``most`` live keyframes. With an infinite ``behind_m`` none ever is.
+    ``length_m``: way of the camera in a chunk. ``behind_m``: how far the camera is from all of a chunk that is due; the
+    oldest one is due, too, with more than ``most`` live keyframes. With an infinite ``behind_m`` none ever is.
     """
 
     length_m: float
@@ -26,7 +25,6 @@ class ChunkSchedule:
     most: int
     open: list[int] = field(default_factory=list)
     waiting: list[list[int]] = field(default_factory=list)
-    passing: set[int] = field(default_factory=set)
 
     @property
     def live(self) -> list[int]:
@@ -55,13 +53,11 @@ class ChunkSchedule:
     def freeze(self, chunk: list[int]) -> None:
         """A waiting chunk is done."""
         self.waiting.remove(chunk)
-        self.passing -= set(chunk)
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint."""
-        waiting = [list(chunk) for chunk in self.waiting]
-        return {"open": list(self.open), "waiting": waiting, "passing": sorted(self.passing)}
+        return {"open": list(self.open), "waiting": [list(chunk) for chunk in self.waiting]}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Resume from what ``state`` gave."""
-        self.open, self.waiting, self.passing = list(state["open"]), list(state["waiting"]), set(state["passing"])
+        self.open, self.waiting = list(state["open"]), list(state["waiting"])

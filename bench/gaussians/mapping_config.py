@@ -73,9 +73,6 @@ class GaussianMapperConfig(PluginConfig):
     live_keyframes: int = 200
     """The images of so many keyframes stay in memory; those of older ones are learned from again from disk. In chunks,
     the oldest one goes to disk, too, with more keyframes than this."""
-    revisit_m: float = 15.0
-    """Where a keyframe comes so near to one whose chunk is on disk, the place is known: Gaussians of it that this chunk
-    has, too, are dropped."""
     far_m: float = 120.0
     """Chunks on disk are drawn as far as this."""
     detail_m: float = 40.0
@@ -137,7 +134,7 @@ class GaussianMapperConfig(PluginConfig):
             raise BenchError(
                 f"mapper.depth_range_m={list(self.depth_range_m)} must be [near, far] with 0 < near < far."
             )
-        ways = ("live_m", "revisit_m", "far_m", "chunk_memory_mb", "seconds")
+        ways = ("live_m", "far_m", "chunk_memory_mb", "seconds")
         require_least("mapper", self, live_keyframes=4, **dict.fromkeys(ways, 0))
         for name, usual in (("chunk_m", 25), ("detail_m", 40)):
             if not 0 < getattr(self, name) < np.inf:

@@ -29,7 +29,6 @@ _IN_WORDS = {
     "{largest_m:.3f} m and {largest_deg:.3f} degrees",
     "pruned": "frame {frame}: {count} Gaussians pruned",
     "chunk_frozen": "frame {frame}: the map of keyframes {first} to {last} is done and on disk",
-    "passes_merged": "frame {frame}: {count} Gaussians dropped that an earlier pass of the place has, too",
     "warning": "{text}",
     "no_depth": "frame {frame}: {source} knows no depth at all",
 }

@@ -23,7 +23,6 @@ from bench.contracts.rasterizer import Rasterizer, Rendered
 from bench.errors import BenchError
 from bench.gaussians.chunk_schedule import ChunkSchedule
 from bench.gaussians.chunked_map import Block, ChunkDrawing, ChunkedMap
-from bench.gaussians.duplicates import duplicates
 from bench.gaussians.last_optimisation import LastOptimisation
 from bench.gaussians.loss_stack import LossStack
 from bench.gaussians.map import GaussianMap
@@ -43,7 +42,7 @@ from bench.supervision.moving import MovingThings
 from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
 
 if TYPE_CHECKING:
-    from torch import Tensor
+    pass
 
 log = logging.getLogger(__name__)
 
@@ -237,10 +236,7 @@ class GaussianMapper(Mapper):
         live, most = self._schedule.live, self.config.live_keyframes
         if len(live) > most and self._room:
             self._page(live[-most - 1])
-        place = self._replay.place(number)
-        if self._map.keyframes_within(place, self.config.revisit_m):
-            self._schedule.passing.add(number)
-        self._map.look_from(place)
+        self._map.look_from(self._replay.place(number))
 
     def _page(self, number: int) -> None:
         """The images of a keyframe go to disk, from where they are learned again; if they can't, they stay."""
@@ -293,7 +289,6 @@ class GaussianMapper(Mapper):
     def _step_of_last(self, last: LastOptimisation) -> None:
         """One iteration of the last optimisation of some keyframes, with the second seeding at its time."""
         if last.done == last.first_fine and last.seeds:
-            self._merge_passes(last.numbers)
             self._prune()
             for number in last.numbers:
                 self._seed(number, refine=True)
@@ -306,31 +301,6 @@ class GaussianMapper(Mapper):
                 raise
             log.warning("keyframe %d no longer takes part: %s", number, error)
             last.neighbours.remove(number)
-
-    def _merge_passes(self, numbers: Sequence[int]) -> None:
-        """Where the camera has come back, drop Gaussians of these keyframes that the map of an earlier pass has, too:
-        those from before the loop closed lie beside its own."""
-        passing = [number for number in numbers if number in self._schedule.passing]
-        live, anchor = self._map.live, self._map.live.anchor.long().cpu().numpy()
-        now = (
-            np.flatnonzero(np.isin(live.keyframes, passing)[anchor.clip(0)] & (anchor >= 0)) if passing else anchor[:0]
-        )
-        planes = self._map.seen_from(self._replay.place(numbers[-1]))
-        earlier, new = planes[:, len(live) :], torch.from_numpy(now).to(live.device)
-        if not (len(new) and earlier.shape[1]):
-            return
-        views = ((self._replay.view(number), self._in_map(number)) for number in passing)
-        double = duplicates(earlier, planes[:, new], views, self._rasterizer)
-        if bool(double.any()):
-            self._happened.append(("passes_merged", {"count": int(double.sum())}))
-            keep = torch.ones(len(live), dtype=torch.bool, device=live.device)
-            keep[new[double]] = False
-            live.keep(keep)
-
-    def _in_map(self, number: int) -> Tensor:
-        """A keyframe's image (3, H, W), 0 to 1, in the map's colours."""
-        image = torch.from_numpy(self._appearance.in_map(number, self._replay.keyframes[number].frame.left))
-        return (image.to(self._map.live.device).permute(2, 0, 1) / 255.0).contiguous()
 
     def _freeze(self, chunk: Sequence[int]) -> None:
         """A chunk is done: to disk with it; where that can't be written it stays in memory."""
