@@ -32,6 +32,8 @@ MANY_PARTS = (
 class ElsewhereRasterizer(CpuRasterizer):
     """The C++ core behind a transfer: takes and gives tensors of the pretended device."""
 
+    learns = False
+
     def __init__(self, config: PluginConfig) -> None:
         super().__init__(config)
         self.device = DEVICE
