@@ -18,6 +18,7 @@ import torch
 
 from bench.config import RunConfig
 from bench.errors import BenchError
+from bench.machine import matrix_product_ms
 from bench.runs.checkpoint import Checkpoints, Snapshot
 from bench.runs.endings import how_it_ended, terminate_as_interrupt
 from bench.runs.events import check_events
@@ -175,6 +176,7 @@ class _Run:
         values = self.config.values
         torch.manual_seed(values["seed"])
         provenance = collect_provenance(values, values["seed"], self.system.weights())
+        provenance["machine"]["mm_ms"] = round(matrix_product_ms(), 1)
         self.system.mapper.use_store(self.checkpoints.stores["mapper"])
         self.system.tracker.use_store(self.checkpoints.stores["tracker"])
         check, first = PairCheck(self.system.dataset), 0

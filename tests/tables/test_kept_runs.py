@@ -18,7 +18,9 @@ from bench.tables.document.forms import FORMS
 from bench.tables.named.find import table_names
 from bench.tables.named.table import make_table
 from bench.tables.records.file import SUFFIX, read_record_file
+from bench.tables.records.made import made_in_words
 from bench.tables.records.portable import portable_config, portable_text
+from bench.tables.records.record import RunRecord
 from bench.tables.records.shared import in_common, together, without
 
 KEPT = sorted((Path(__file__).parents[2] / "results" / "tables").glob(f"*{SUFFIX}"))
@@ -44,7 +46,7 @@ def runs(tmp_path: Path) -> Path:
         }
         provenance |= {
             "platform": "secret",
-            "machine": {"cpu": "AMD", "usable_cores": 2, "gpu": None, "host": "secret"},
+            "machine": {"cpu": "AMD", "usable_cores": 2, "gpu": None, "mm_ms": 23.4, "host": "secret"},
         }
         write_json(folder / f"r{seed}" / "provenance.json", provenance)
     (folder / "r0" / "events.jsonl").write_text(
@@ -81,7 +83,7 @@ def test_nothing_of_the_machine_is_kept(runs: Path, tmp_path: Path) -> None:
     (run,) = (run for run in kept.runs if run.name == "r0")
     assert run.config["dataset"] == {"name": "kitti", "sequence": "03", "frames": "", "weights": "net v1.onnx"}
     assert run.provenance["loops_closed"] == [[422, 2]]
-    assert run.provenance["machine"] == {"cpu": "AMD", "usable_cores": 2, "gpu": None}
+    assert run.provenance["machine"] == {"cpu": "AMD", "usable_cores": 2, "gpu": None, "mm_ms": 23.4}
     assert run.provenance["git"] == {"commit": "abc", "dirty": False}
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", run.date)
     bad = read_record_file(tmp_path / "tables" / f"main_kitti{SUFFIX}")
@@ -92,7 +94,23 @@ def test_nothing_of_the_machine_is_kept(runs: Path, tmp_path: Path) -> None:
 
 def test_a_table_says_when_from_what_and_where_it_was_made(runs: Path) -> None:
     (note,) = (note for note in make_table("ablation", [runs]).notes if note.startswith("Made "))
-    assert re.fullmatch(r"Made \d{4}-\d\d-\d\d; code abc; AMD, 2 cores, no GPU\.", note)
+    assert re.fullmatch(r"Made \d{4}-\d\d-\d\d; code abc; AMD, 2 cores, no GPU, mm 1024\^3 23 ms\.", note)
+
+
+def test_machines_are_told_with_the_span_of_their_yardstick() -> None:
+    cpu = {"cpu": "AMD", "usable_cores": 2, "gpu": None}
+    machines = [
+        cpu | {"mm_ms": 31.4},
+        cpu,
+        cpu | {"mm_ms": 22.6},
+        {"cpu": "Arm", "mm_ms": "fast"},
+        "?",
+        cpu | {"cpu": "B"},
+    ]
+    runs = [RunRecord("r", Path("r"), {}, "done", provenance={"machine": machine}) for machine in machines]
+    assert made_in_words(runs) == [
+        "AMD, 2 cores, no GPU, mm 1024^3 23 to 31 ms; Arm, None cores, no GPU; B, 2 cores, no GPU"
+    ]
 
 
 def test_one_line_a_run_and_cells_lead_to_it(runs: Path, tmp_path: Path) -> None:

@@ -40,7 +40,9 @@ def ratio(kept: dict[str, Any], benchmark: str, name: str) -> float:
 
 
 def device_of(kept: dict[str, Any]) -> str:
-    """What the benchmarks ran on, in words."""
+    """What the benchmarks ran on, in words, with the yardstick's milliseconds."""
     device = kept.get("device", {})
     gpu = device.get("gpu") or "no GPU"
-    return f"{device.get('cpu', 'unknown processor')}, {device.get('usable_cores', '?')} cores, {gpu}"
+    mm = kept.get("benchmarks", {}).get("rasterizer", {}).get("milliseconds", {}).get("torch.mm 1024^3")
+    yardstick = f", mm 1024^3 {mm:.0f} ms" if isinstance(mm, int | float) else ""
+    return f"{device.get('cpu', 'unknown processor')}, {device.get('usable_cores', '?')} cores, {gpu}{yardstick}"

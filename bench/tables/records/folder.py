@@ -77,7 +77,7 @@ def read_provenance(folder: Path) -> dict[str, Any]:
     found: dict[str, Any] = {key: written[key] for key in ("git", "packages", "python", "weights") if key in written}
     machine = written.get("machine")
     if isinstance(machine, Mapping):
-        found["machine"] = {key: machine[key] for key in ("cpu", "usable_cores", "gpu") if key in machine}
+        found["machine"] = {key: machine[key] for key in ("cpu", "usable_cores", "gpu", "mm_ms") if key in machine}
     closed = [event for event in read_events(folder) if event.kind == "loop_closed"]
     loops = [[event.frame, event.values.get("to_frame")] for event in closed]
     if loops:
