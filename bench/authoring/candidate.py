@@ -60,7 +60,8 @@ def candidate_of(overrides: Sequence[str], folders: Sequence[str] = ()) -> Candi
     if named[0].is_sweep_override() or (isinstance(value, list) and len(value) != 1):
         raise BenchError(f"{named[0].input_line} names several plugins; check one at a time: {kind}=NAME.")
     small = _SMALL_FOR_TRACKER if kind == "tracker" else _SMALL
-    surroundings = () if any(override.key_or_group.startswith("dataset") for override in parsed) else small
+    names_data = any(override.key_or_group.startswith("dataset") for override in parsed)
+    surroundings = () if names_data else small
     if kind == "keyframer" and not any(override.key_or_group.startswith(("mapper", "system")) for override in parsed):
         surroundings = (*surroundings, _QUICK_MAP)
     if kind in RUN_KINDS:
@@ -72,7 +73,7 @@ def candidate_of(overrides: Sequence[str], folders: Sequence[str] = ()) -> Candi
         own = [f"{holder}.{setting}{each.removeprefix(kind)}" if each.startswith(kind) else each for each in given]
         run = compose_run([*surroundings, *own])
         config = getattr(run.plugin(holder), setting)
-    return Candidate(registry.lookup(kind, config.name), config, run)
+    return Candidate(registry.lookup(kind, config.name), config, run, names_data)
 
 
 def _config(candidate: Candidate) -> str:

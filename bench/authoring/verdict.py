@@ -68,11 +68,15 @@ class Note:
 
 @dataclass(frozen=True)
 class Candidate:
-    """The plugin under test, its config, and the config of the run that the other parts come from."""
+    """The plugin under test, its config, and the config of the run that the other parts come from.
+
+    ``names_data``: the author named a data set or its settings; else it is the built-in street.
+    """
 
     plugin: Plugin
     config: PluginConfig
     run: RunConfig
+    names_data: bool = False
 
     def build(self) -> Any:
         """A fresh instance; raises what the constructor raises."""

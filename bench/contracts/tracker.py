@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import Any
 
@@ -22,6 +23,12 @@ class Tracker(ABC):
     """True for a tracker that looks at the map: it gets ``use_map``, and the run goes in step, one frame at a time."""
     uses_depth: bool = False
     """True for a tracker that looks at depth: every frame comes with its ``depth``, from the ``stereo=`` of the run."""
+
+    @property
+    def reach_m(self) -> float:
+        """How far the camera may move in a frame, in metres, for this tracker to follow; infinite (the default): no
+        setting bounds it. `check-plugin` drives its own street that slowly."""
+        return math.inf
 
     @abstractmethod
     def start(self, dataset: Dataset) -> None:

@@ -71,6 +71,11 @@ class MonoGSTracker(Tracker):
     def __init__(self, config: MonoGSTrackerConfig) -> None:
         self.config = config
 
+    @property
+    def reach_m(self) -> float:
+        """A step of Adam moves at most about its rate along each axis."""
+        return self.config.iterations * self.config.translation_rate
+
     def start(self, dataset: Dataset) -> None:
         self._camera: StereoCamera = dataset.camera
         self._numbers: list[int] = []

@@ -70,6 +70,12 @@ class SplatamTracker(Tracker):
     def __init__(self, config: SplatamTrackerConfig) -> None:
         self._config = config
 
+    @property
+    def reach_m(self) -> float:
+        """A step of Adam moves at most about its rate along each axis; also where the motion before leads on, the first
+        motion must be reached from standing still."""
+        return self._config.iterations * self._config.translation_rate
+
     def start(self, dataset: Dataset) -> None:
         """Begin a new sequence with its camera."""
         self._camera = dataset.camera

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 from pathlib import Path
@@ -16,11 +17,13 @@ from bench.errors import BenchError
 from bench.io.atomic import write_json
 from bench.tables.document.forms import FORMS
 from bench.tables.named.find import table_names
+from bench.tables.named.records import read_runs
 from bench.tables.named.table import make_table
-from bench.tables.records.file import SUFFIX, read_record_file
+from bench.tables.records.file import SUFFIX, read_record_file, record_text
 from bench.tables.records.made import made_in_words
 from bench.tables.records.portable import portable_config, portable_text
 from bench.tables.records.record import RunRecord
+from bench.tables.records.settings import settings_of
 from bench.tables.records.shared import in_common, together, without
 
 KEPT = sorted((Path(__file__).parents[2] / "results" / "tables").glob(f"*{SUFFIX}"))
@@ -218,6 +221,16 @@ def test_settings_that_are_paths() -> None:
         "stereo": {"l": ["/x/y", 2]},
     }
     assert portable_config(made) == {"dataset": {"left": "left *.png", "frames": "0:10"}, "stereo": {"l": ["y", 2]}}
+
+
+def test_infinite_settings_come_back_from_a_record_as_from_the_folder(tmp_path: Path) -> None:
+    infinite = config("06", mapper__max_depth_m=math.inf, tracker__range_m=[0.0, math.inf])
+    found = read_runs([make_run(tmp_path / "run", infinite, metrics(1101))])
+    (file := tmp_path / f"kept{SUFFIX}").write_text(record_text(found))
+    json.loads(file.read_text(), parse_constant=pytest.fail)
+    folder, record = (settings_of(read.runs[0].config) for read in (found, read_record_file(file)))
+    assert folder == record
+    assert folder["mapper.max_depth_m"] == "inf"
 
 
 MANY: list[list[dict[str, Any]]] = [

@@ -9,6 +9,7 @@ import torch
 
 from bench.baselines.monogs.images import not_black
 from bench.gaussians.parameters import planes_from
+from bench.geometry.pinhole import directions, to_world
 from bench.types import Float, Image, Map, PinholeView
 
 if TYPE_CHECKING:
@@ -47,8 +48,8 @@ def new_gaussians(
     chosen = np.sort(random.choice(len(v), int(len(v) * share), replace=False))
     v, u = v[chosen], u[chosen]
     z = depth[v, u].astype(np.float64)
-    points = np.stack([(u - view.cx) / view.fx * z, (v - view.cy) / view.fy * z, z], 1)
-    means = points @ view.T_world_cam[:3, :3].T + view.T_world_cam[:3, 3]
+    points = directions(u, v, view) * z[:, None]
+    means = to_world(points, view.T_world_cam)
     sigma = np.sqrt(np.maximum(neighbour_distance2(points), _LEAST_DISTANCE2) * point_size)
     a, b = exposure
     colors = np.clip((image[v, u] / 255.0 - b) * np.exp(-a), 0.0, 1.0)

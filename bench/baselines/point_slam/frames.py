@@ -13,6 +13,7 @@ import torch
 
 from bench.baselines.point_slam.radius import QUERY_FACTOR
 from bench.baselines.point_slam.rays import Rays, RaySettings, around
+from bench.geometry.pinhole import directions, inside, project, to_world
 from bench.types import Float, Image, Map, PinholeView, StereoCamera
 
 if TYPE_CHECKING:
@@ -49,21 +50,20 @@ def draw(count: int, of: int, generator: Generator) -> npt.NDArray[np.int64]:
 def directions_of(pixels: npt.NDArray[np.int64], camera: StereoCamera | PinholeView) -> Float:
     """Directions (R, 3) in the camera's frame, 1 long along its axis, of flat pixel indices (R,)."""
     v, u = np.divmod(pixels, camera.width)
-    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(pixels))], 1)
+    return directions(u, v, camera)
 
 
 def places_of(frame: MappedFrame, pixels: npt.NDArray[np.int64], camera: StereoCamera, share: float = 1.0) -> Float:
     """World positions (R, 3) at so many times the depth of flat pixel indices (R,)."""
-    T = frame.T_world_cam
     in_camera = directions_of(pixels, camera) * (frame.depth.reshape(-1)[pixels, None] * share)
-    return in_camera @ T[:3, :3].T + T[:3, 3]
+    return to_world(in_camera, frame.T_world_cam)
 
 
 def in_view(positions: Float, frame: MappedFrame, camera: StereoCamera, behind_m: float) -> npt.NDArray[np.bool_]:
     """Which positions (N, 3) the frame sees, with 4 pixels around it: in front of its depth plus ``behind_m``, or
     anywhere on a ray of unknown depth."""
-    u, v, z = _project(positions, frame.T_world_cam, camera)
-    seen = _inside(u, v, z, camera, _VIEW_BORDER_PX)
+    u, v, z = project(positions, frame.T_world_cam, camera)
+    seen = inside(u, v, z, camera, _VIEW_BORDER_PX)
     column = np.clip(np.rint(u[seen]), 0, camera.width - 1).astype(np.int64)
     row = np.clip(np.rint(v[seen]), 0, camera.height - 1).astype(np.int64)
     depth = frame.depth[row, column]
@@ -79,21 +79,8 @@ def overlap(frame: MappedFrame, pixels: npt.NDArray[np.int64], other: Float, cam
     depth = frame.depth.reshape(-1)[pixels, None, None]
     shares = np.linspace(0.0, 1.0, _OVERLAP_SAMPLES)[:, None]
     z = _OVERLAP_NEAR * depth + shares * ((1 - _OVERLAP_NEAR) * depth + _OVERLAP_BEHIND_M)
-    in_camera = directions_of(pixels, camera)[:, None] * z
-    T = frame.T_world_cam
-    u, v, w = _project((in_camera @ T[:3, :3].T + T[:3, 3]).reshape(-1, 3), other, camera)
-    return float(_inside(u, v, w, camera, _OVERLAP_BORDER_PX).mean())
-
-
-def _project(positions: Float, T_world_cam: Float, camera: StereoCamera) -> tuple[Float, Float, Float]:
-    x, y, z = ((positions - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z
-
-
-def _inside(u: Float, v: Float, z: Float, camera: StereoCamera, border: float) -> npt.NDArray[np.bool_]:
-    inside = (u > border) & (u < camera.width - border) & (v > border) & (v < camera.height - border)
-    return np.asarray(inside & (z > 0))
+    samples = to_world(directions_of(pixels, camera)[:, None] * z, frame.T_world_cam).reshape(-1, 3)
+    return float(inside(*project(samples, other, camera), camera, _OVERLAP_BORDER_PX).mean())
 
 
 class Seen(NamedTuple):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bench.geometry.pinhole import directions, inside, project, to_world
 from bench.types import Float, Map, PinholeView
 
 _PIXELS = 1600
@@ -33,13 +34,7 @@ def share_inside(points: Float, view: PinholeView) -> float:
     """Share of the ``points`` (N, 3), in the world, that lie before a view and 20 px inside its image; 0 of none."""
     if not len(points):
         return 0.0
-    x, y, z = (points @ view.T_cam_world[:3, :3].T + view.T_cam_world[:3, 3]).T
-    before = z > 0
-    z = np.where(before, z, 1.0)
-    u, v = view.fx * x / z + view.cx, view.fy * y / z + view.cy
-    in_width = (u > _BORDER_PX) & (u < view.width - _BORDER_PX)
-    in_height = (v > _BORDER_PX) & (v < view.height - _BORDER_PX)
-    return float((before & in_width & in_height).mean())
+    return float(inside(*project(points, view.T_world_cam, view), view, _BORDER_PX).mean())
 
 
 def _points(view: PinholeView, depth: Map, random: np.random.Generator) -> Float:
@@ -49,7 +44,5 @@ def _points(view: PinholeView, depth: Map, random: np.random.Generator) -> Float
         return np.zeros((0, 3))
     drawn = random.integers(len(rows), size=_PIXELS)
     v, u = rows[drawn], columns[drawn]
-    z = depth[v, u].astype(np.float64)
-    in_camera = np.stack([(u - view.cx) / view.fx * z, (v - view.cy) / view.fy * z, z], 1)
-    points = in_camera @ view.T_world_cam[:3, :3].T + view.T_world_cam[:3, 3]
+    points = to_world(directions(u, v, view) * depth[v, u].astype(np.float64)[:, None], view.T_world_cam)
     return points[(np.abs(points) > _ORIGIN_M).any(axis=1)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import PurePath
@@ -32,7 +33,8 @@ def portable(value: Any) -> Any:
 def portable_config(config: Mapping[str, Any]) -> dict[str, Any]:
     """What of a resolved config says how a result was made: without where the run and its data set lie.
 
-    Other values that are absolute paths (network weights, images) are reduced to their last part.
+    Other values that are absolute paths (network weights, images) are reduced to their last part, and an infinite
+    number is the text "inf", since JSON has none: from a record file it comes back as it is here.
     """
     kept = {key: _without_folders(value) for key, value in config.items() if key not in NO_PART_OF_THE_RUN}
     dataset = kept.get("dataset")
@@ -45,6 +47,8 @@ def _without_folders(value: Any) -> Any:
     """As ``portable``, for values that are a path as a whole, which may have blanks in it."""
     if isinstance(value, str):
         return PurePath(value).name if value.startswith("/") else value
+    if isinstance(value, float) and math.isinf(value):
+        return str(value)
     if isinstance(value, dict):
         return {key: _without_folders(each) for key, each in value.items()}
     if isinstance(value, list):
