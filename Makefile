@@ -13,7 +13,7 @@ ifneq ($(wildcard ../shared/weights),)
 export BGS_WEIGHTS ?= $(abspath ../shared/weights)
 endif
 
-.PHONY: install run test quick check fuzz bench sanitize gpu-check clean
+.PHONY: install run test quick check fuzz bench sanitize gpu-check map-viewer browser-test clean
 
 install: $(STAMP)
 
@@ -68,6 +68,15 @@ sanitize: $(TESTING)
 		UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 \
 		$(BIN)/python -m pytest -p tools.sanitized_core $(CORE_TESTS) || exit 1; \
 	done
+
+# What writes the report's maps in 3D; needs node 18 or newer and npm. bench/report/pages/map_page.py names the version too.
+map-viewer:
+	npm install --prefix build/map_viewer --no-save --ignore-scripts --no-audit --no-fund @playcanvas/splat-transform@2.7.1
+
+# The report's pages in Chromium (/usr/bin/chromium, or $$BGS_CHROMIUM).
+browser-test: $(TESTING)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[browser]'
+	$(BIN)/python -m pytest -m browser tests/report
 
 clean:
 	rm -rf $(VENV) build

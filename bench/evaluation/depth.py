@@ -4,8 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
+from bench.contracts.saved_run import SavedView
 from bench.errors import BenchError
+from bench.evaluation.lidar_occlusion import unoccluded
+from bench.protocol import Protocol
 from bench.types import Map
+
+
+def depth_reference(view: SavedView, protocol: Protocol) -> Map | None:
+    """What a view's depth is compared with, (H, W) float32 in metres, NaN = unknown: LiDAR, else the depth camera's.
+
+    None where the data set knows neither. LiDAR is without what the protocol's mask leaves out.
+    """
+    reference = view.lidar
+    if reference is None:
+        return view.sensor_depth
+    if protocol.depth_mask == "unoccluded":  # a depth camera sees what the other one sees, a scanner on top not
+        reference = np.where(unoccluded(reference), reference, np.float32(np.nan))
+    return reference
 
 
 def depth_l1_cm(rendered: Map, lidar: Map, min_m: float, max_m: float | None) -> tuple[float, int]:

@@ -9,8 +9,7 @@ import numpy as np
 from bench.contracts.evaluator import ViewEvaluator, ViewScores
 from bench.contracts.metric import Metric
 from bench.contracts.saved_run import GROUPS, VIEW_OF_GROUP, SavedRun, SavedView
-from bench.evaluation.depth import depth_l1_cm
-from bench.evaluation.lidar_occlusion import unoccluded
+from bench.evaluation.depth import depth_l1_cm, depth_reference
 from bench.registry import PluginConfig, register
 
 
@@ -29,11 +28,8 @@ class DepthL1Evaluator(ViewEvaluator):
 
     def view(self, view: SavedView) -> dict[str, Any] | None:
         """Depth-L1 of a left view and of how many pixels, if it has depth and the data set knows some in range."""
-        protocol, reference = self._run.protocol, view.lidar
-        if reference is None:
-            reference = view.sensor_depth
-        elif protocol.depth_mask == "unoccluded":  # a depth camera sees what the other one sees, a scanner on top not
-            reference = np.where(unoccluded(reference), reference, np.float32(np.nan))
+        protocol = self._run.protocol
+        reference = depth_reference(view, protocol)
         depth = view.depth if reference is not None else None
         if reference is None or depth is None:
             return None
