@@ -30,7 +30,7 @@ from bench.installed_data import config_folder
 from bench.override_text import as_one_value, hydra_lines, parse_lines, quoted
 from bench.plugin_config import plugin_config_from, plugins_in
 from bench.protocol import Protocol
-from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, PluginConfig
+from bench.registry import CHOSEN_KINDS, OBSERVERS, SEVERAL_AT_ONCE, PluginConfig
 from bench.runs.config_file import NO_PART_OF_THE_RUN, RUNS_FOLDER
 from bench.runs.watchdog import LimitsConfig
 
@@ -79,6 +79,10 @@ class RootConfig:
     """Loss terms, several of `bgs-bench list loss`: loss=[rgb,ssim]."""
     evaluator: Any = None
     """Evaluators, several of `bgs-bench list evaluator`."""
+    viewer: Any = None
+    """Shows the run while it is made, one of `bgs-bench list viewer`."""
+    logger: Any = None
+    """Where the run's numbers go while it is made, several of `bgs-bench list logger`: logger=[tensorboard,wandb]."""
 
     def __post_init__(self) -> None:
         if self.seed >= 2**63:  # what torch takes
@@ -106,7 +110,7 @@ class RunConfig:
         return self._plugins[kind][0]
 
     def several(self, kind: str) -> list[PluginConfig]:
-        """The typed configs of all plugins of a kind of which a run uses several (losses, evaluators)."""
+        """The typed configs of all plugins of a kind of which a run uses several, or perhaps none (viewers)."""
         return self._plugins[kind]
 
     def parse(self) -> None:
@@ -119,8 +123,10 @@ class RunConfig:
 
     @cached_property
     def _plugins(self) -> dict[str, list[PluginConfig]]:
-        chosen = {kind: self.values[kind] or {} for kind in RUN_KINDS}
+        chosen = {kind: self.values.get(kind) or {} for kind in CHOSEN_KINDS}
         mappings = {kind: list(of.values()) if kind in SEVERAL_AT_ONCE else [of] for kind, of in chosen.items()}
+        if not chosen["viewer"]:
+            mappings["viewer"] = []
         return {kind: [plugin_config_from(kind, mapping) for mapping in of] for kind, of in mappings.items()}
 
     @cached_property
@@ -183,13 +189,13 @@ def resolved(composed: DictConfig) -> RunConfig:
     assert isinstance(values, dict)
     plain: dict[str, Any] = {str(key): value for key, value in values.items()}
     _check_root(plain)
-    for kind in RUN_KINDS:
+    for kind in CHOSEN_KINDS:
         if kind in SEVERAL_AT_ONCE:
             # loss.geo=null leaves the term out, as ~loss.geo does; a part without a name holds a preset's settings for
             # a term that the run leaves out.
             parts = (plain[kind] or {}).items()
             plain[kind] = {name: part for name, part in parts if part is not None and "name" in part}
-        elif plain[kind] is None:
+        elif plain[kind] is None and kind not in OBSERVERS:
             raise BenchError(f"No {kind} is chosen; there are {', '.join(registry.names(kind))}.")
     for kind, mapping in plugins_in(plain):
         _make_paths_absolute(kind, mapping)
@@ -255,9 +261,12 @@ def _as_typed(override: Override) -> Override:
 
 def _paths() -> set[str]:
     """The settings that are paths, as they are typed."""
-    configs = [(kind, registry.lookup(kind, name).config) for kind in RUN_KINDS for name in registry.names(kind)]
+    plugins = [registry.lookup(kind, name) for kind in CHOSEN_KINDS for name in registry.names(kind)]
     of_plugins = {
-        f"{kind}.{f.name}" for kind, config in configs for f in dataclasses.fields(config) if "path" in f.metadata
+        f"{plugin.prefix}.{f.name}"
+        for plugin in plugins
+        for f in dataclasses.fields(plugin.config)
+        if "path" in f.metadata
     }
     return {"output", "cache.folder", *of_plugins}
 
@@ -267,7 +276,7 @@ def _group_of(override: Override) -> str | None:
     group = override.key_or_group.replace(".", "/")
     if group in registry.nested_groups:
         return None if isinstance(override.value(), dict) else group
-    return group if group in (*RUN_KINDS, "system", "protocol", EXPERIMENT) else None
+    return group if group in (*CHOSEN_KINDS, "system", "protocol", EXPERIMENT) else None
 
 
 def _hydra_line(override: Override) -> str:

@@ -12,7 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bench import registry
 from bench.errors import BenchError, did_you_mean, first_line
-from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE, Plugin, PluginConfig
+from bench.registry import CHOSEN_KINDS, SEVERAL_AT_ONCE, Plugin, PluginConfig
 from bench.settings import check_numbers
 
 _parsed: dict[tuple[str, type[PluginConfig], str], PluginConfig] = {}
@@ -21,8 +21,10 @@ _parsed: dict[tuple[str, type[PluginConfig], str], PluginConfig] = {}
 
 def plugins_in(values: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Kind and settings of every plugin that a resolved config names, those that are settings of others included."""
-    for kind in RUN_KINDS:
-        part = values.get(kind) or {}
+    for kind in CHOSEN_KINDS:
+        part = values.get(kind)
+        if not part:
+            continue
         for mapping in part.values() if kind in SEVERAL_AT_ONCE else [part]:
             yield kind, mapping
             for key, of_kind in registry.plugin_fields(registry.lookup(kind, mapping["name"]).config).items():
@@ -47,7 +49,7 @@ def _parse(kind: str, plugin: Plugin, mapping: Mapping[str, Any]) -> PluginConfi
                 f"{kind}={plugin.name} has no setting '{key}'; it has {', '.join(accepted)}."
                 f"{did_you_mean(key, accepted)}"
             )
-    prefix = f"{kind}.{plugin.name}" if kind in SEVERAL_AT_ONCE else kind
+    prefix = plugin.prefix
     inner = registry.plugin_fields(plugin.config)
     own = {key: value for key, value in mapping.items() if key not in inner}
     try:

@@ -28,11 +28,15 @@ from omegaconf import Container, ListConfig, OmegaConf, open_dict
 
 from bench.errors import BenchError, did_you_mean
 
-KINDS = ("dataset", "stereo", "sky", "tracker", "keyframer", "mapper", "loss", "rasterizer", "evaluator")
-# Kinds that a run chooses itself; a rasterizer is a setting of the mappers that render Gaussians.
-RUN_KINDS = tuple(kind for kind in KINDS if kind != "rasterizer")
+# Kinds that follow a run and are no part of it: its result and its hash are the same without them.
+OBSERVERS = ("viewer", "logger")
+KINDS = ("dataset", "stereo", "sky", "tracker", "keyframer", "mapper", "loss", "rasterizer", "evaluator", *OBSERVERS)
+# Kinds that make up a run; a rasterizer is a setting of the mappers that render Gaussians.
+RUN_KINDS = tuple(kind for kind in KINDS if kind not in ("rasterizer", *OBSERVERS))
+# Kinds that are chosen by KIND=NAME.
+CHOSEN_KINDS = (*RUN_KINDS, *OBSERVERS)
 # Kinds of which one run uses several at once; each config lives under its own key, for example `loss.geo.weight`.
-SEVERAL_AT_ONCE = ("loss", "evaluator")
+SEVERAL_AT_ONCE = ("loss", "evaluator", "logger")
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,11 @@ class Plugin:
     config: type[PluginConfig]
     file: str
     summary: str
+
+    @property
+    def prefix(self) -> str:
+        """What stands before its settings: ``stereo``, or ``loss.geo`` of a kind of which a run has several."""
+        return f"{self.kind}.{self.name}" if self.kind in SEVERAL_AT_ONCE else self.kind
 
     def unavailable_reason(self) -> str | None:
         """Why the plugin can't run here, with the command that mends it, or None; asks ``cls.unavailable_reason()``."""
@@ -124,7 +133,7 @@ def _put_into_config_store(kind: str, name: str, config: type[PluginConfig], nod
         defaults = {each.name: each.metadata["default"] for each in fields(config) if each.name in inner}
         with open_dict(node):
             node["defaults"] = ["_self_", *({each: choice} for each, choice in defaults.items())]
-    if kind in RUN_KINDS:
+    if kind in CHOSEN_KINDS:
         package = f"{kind}.{name}" if kind in SEVERAL_AT_ONCE else kind
         store.store(group=kind, name=name, node=node, package=package)
     nested_groups.update({f"{kind}/{each}": of_kind for each, of_kind in inner.items()})

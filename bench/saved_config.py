@@ -13,12 +13,13 @@ from bench.config import RootConfig, check_overrides, compose_run, options_of
 from bench.errors import BenchError
 from bench.hydra_settings import EXPERIMENT, as_value
 from bench.override_text import hydra_lines
-from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE
+from bench.registry import OBSERVERS, RUN_KINDS, SEVERAL_AT_ONCE
 from bench.runs.config_file import read_config
 from bench.runs.system_name import external_name
 
-# Where a run lay and how it was started is no part of making it again; nor is whose code it imported.
-_LEFT_OUT = ("output", "rerun", "resume", "plugins")
+# Where a run lay and how it was started is no part of making it again; nor is whose code it imported, or who followed
+# it: a stranger's folder could send a run's images anywhere.
+_LEFT_OUT = ("output", "rerun", "resume", "plugins", *OBSERVERS)
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 # What choosing a system chooses too.
 _OF_A_SYSTEM = ("mapper", "loss")

@@ -13,6 +13,7 @@ from bench.contracts.evaluator import Evaluator
 from bench.contracts.keyframer import Keyframer
 from bench.contracts.loss import LossConfig, LossTerm
 from bench.contracts.mapper import Mapper
+from bench.contracts.observer import Observer
 from bench.contracts.rasterizer import Rasterizer
 from bench.contracts.sky import SkySegmenter
 from bench.contracts.stereo import DepthSource
@@ -20,7 +21,7 @@ from bench.contracts.tracker import Tracker
 from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.override_text import hydra_lines
-from bench.registry import KINDS, RUN_KINDS, SEVERAL_AT_ONCE
+from bench.registry import CHOSEN_KINDS, KINDS, OBSERVERS, SEVERAL_AT_ONCE
 
 CONTRACTS: dict[str, type] = {
     "dataset": Dataset,
@@ -32,6 +33,8 @@ CONTRACTS: dict[str, type] = {
     "loss": LossTerm,
     "rasterizer": Rasterizer,
     "evaluator": Evaluator,
+    "viewer": Observer,
+    "logger": Observer,
 }
 """The base class of each kind."""
 
@@ -64,9 +67,9 @@ def candidate_of(overrides: Sequence[str], folders: Sequence[str] = ()) -> Candi
     surroundings = () if names_data else small
     if kind == "keyframer" and not any(override.key_or_group.startswith(("mapper", "system")) for override in parsed):
         surroundings = (*surroundings, _QUICK_MAP)
-    if kind in RUN_KINDS:
+    if kind in CHOSEN_KINDS:
         run = compose_run([*surroundings, *given])
-        config = run.several(kind)[0] if kind in SEVERAL_AT_ONCE else run.plugin(kind)
+        config = run.several(kind)[0] if kind in (*SEVERAL_AT_ONCE, *OBSERVERS) else run.plugin(kind)
     else:
         # A setting of another plugin, such as mapper.rasterizer: checked where a run would have it.
         holder, setting = next(group for group, held in registry.nested_groups.items() if held == kind).split("/")

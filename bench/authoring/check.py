@@ -8,6 +8,7 @@ from types import ModuleType
 
 from bench.authoring.candidate import FOR_ALL_KINDS, candidate_of
 from bench.authoring.verdict import Candidate, Finding, run_checks
+from bench.registry import OBSERVERS
 
 
 def check_plugin(*overrides: str, folders: Sequence[str] = ()) -> list[Finding]:
@@ -31,4 +32,4 @@ def findings_of(candidate: Candidate) -> Iterator[Finding]:
 
 def checks_for(kind: str) -> ModuleType:
     """The module of a kind's checks, with ``Subject`` and ``checks_of``; it brings what it needs when asked for."""
-    return importlib.import_module(f"bench.authoring.{kind}_checks")
+    return importlib.import_module(f"bench.authoring.{'observer' if kind in OBSERVERS else kind}_checks")

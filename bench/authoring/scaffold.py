@@ -13,7 +13,7 @@ from bench.discovery import FOLDER_OF_KIND
 from bench.errors import BenchError, require_choice
 from bench.installed_data import config_folder
 from bench.io.atomic import write_text
-from bench.registry import KINDS
+from bench.registry import KINDS, OBSERVERS
 
 TEMPLATES = Path(__file__).parent / "templates"
 # Words that Hydra's command line reads as values of their own.
@@ -93,11 +93,12 @@ def _check_name(kind: str, name: str) -> None:
 
 
 def _plugin_text(kind: str, name: str) -> str:
-    template = Template((TEMPLATES / f"{kind}.txt").read_text(encoding="utf-8"))
+    contract = "observer" if kind in OBSERVERS else kind
+    template = Template((TEMPLATES / f"{contract}.txt").read_text(encoding="utf-8"))
     cls = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
-    text = template.substitute(name=name, Class=cls)
+    text = template.substitute(kind=kind, name=name, Class=cls)
     if cls in _imported_names(text):
-        text = template.substitute(name=name, Class=f"{cls}Plugin")
+        text = template.substitute(kind=kind, name=name, Class=f"{cls}Plugin")
     return text
 
 

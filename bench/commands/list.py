@@ -73,8 +73,7 @@ def _print_plugin(plugin: Plugin) -> None:
     print(f"{plugin.kind}={plugin.name}: {plugin.summary}")
     print(f"file: {plugin.file}")
     print(_hindrance(plugin) or "available")
-    prefix = f"{plugin.kind}.{plugin.name}" if plugin.kind in SEVERAL_AT_ONCE else plugin.kind
-    settings = _named(prefix, documented(plugin.config))
+    settings = _named(plugin.prefix, documented(plugin.config))
     print() if settings else print("no settings")
     _print_settings(settings)
 
@@ -86,7 +85,7 @@ def _settings_of_a_run() -> list[Setting]:
     for setting in documented(RootConfig):
         part: Any = values.get(setting.name)
         if setting.name in (*registry.KINDS, "protocol"):
-            part = list(part) if setting.name in SEVERAL_AT_ONCE else part["name"]
+            part = None if part is None else list(part) if setting.name in SEVERAL_AT_ONCE else part["name"]
             setting = dataclasses.replace(setting, type="")
         settings.append(setting if part is None else dataclasses.replace(setting, default=part))
     return settings + _named("protocol", documented(Protocol))

@@ -33,6 +33,7 @@ from bench.runs.status import read_status, without_scores
 from bench.runs.watchdog import Watchdog
 from bench.saved_config import overrides_of
 from bench.slam.needs import Needs
+from bench.slam.observers import Observers
 from bench.slam.run import run_system
 from bench.slam.system import System
 from bench.sweeps.combinations import plan_combinations, require_writable
@@ -140,7 +141,12 @@ def _run_alone(config: RunConfig, console: Console) -> Path:
         TimeRemainingColumn(),
     )
     watchdog = Watchdog(config.limits)
-    with Progress(*columns, console=console) as bar, watchdog.watching(), _failing_in_a_line(config.output):
+    with (
+        Progress(*columns, console=console) as bar,
+        watchdog.watching(),
+        _failing_in_a_line(config.output),
+        Observers.of(config) as observers,
+    ):
         frames = bar.add_task("frames", total=None, note="", visible=False)
 
         def show(done: int, total: int, psnr_db: float) -> None:
@@ -152,7 +158,7 @@ def _run_alone(config: RunConfig, console: Console) -> Path:
             if config.values["rerun"] or known is None or not known.is_complete:
                 say(Needs.of(system, config).line(), bar.console)
 
-        folder = run_system(config, show, watchdog, foresee)
+        folder = run_system(config, show, watchdog, foresee, observers)
         if folder.already_done:
             note = "already done; rerun=true runs it again"
             bar.update(frames, total=1, completed=1, note=note, visible=True)
@@ -167,7 +173,7 @@ def _run_alone(config: RunConfig, console: Console) -> Path:
         complete = read_status(folder.path)
         assert complete is not None
         watchdog.begin(lambda reason: (folder.path, without_scores(complete, "failed", reason)))
-        evaluate_run(folder.path, show_scoring)
+        observers.scored(evaluate_run(folder.path, show_scoring))
     return folder.path
 
 

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from bench.types import Float, Map, PinholeView, RenderedView
+from bench.types import Float, Image, Map, PinholeView, RenderedView
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 ImageLoss: TypeAlias = "Callable[[Tensor, Tensor, Tensor], Tensor]"
 """A scalar of colour (3, H, W), depth (H, W) = sum d alpha T in metres and alpha (H, W): tensors with gradients."""
+
+
+class MapPoints(NamedTuple):
+    """Elements of a map as points: ``positions`` (N, 3) float32 metres in the world, ``colors`` (N, 3) RGB uint8,
+    ``radii`` (N,) float32 metres."""
+
+    positions: npt.NDArray[np.float32]
+    colors: Image
+    radii: npt.NDArray[np.float32]
 
 
 class MapView(ABC):
@@ -52,4 +61,9 @@ class MapView(ABC):
     def refined_pose(self, number: int) -> Float | None:
         """``T_world_cam`` (4, 4) that mapping has found for a keyframe, for a tracker or keyframer that wants to go on
         from it; None (the default): it has none of its own for this frame."""
+        return None
+
+    def points(self, most: int) -> MapPoints | None:
+        """At most ``most`` elements of what was drawn last, every n-th, without the sky, for who shows a run while it
+        is made. Asking changes nothing, not a bit. None (the default): it has no points to show."""
         return None

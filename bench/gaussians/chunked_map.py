@@ -114,6 +114,17 @@ class ChunkedMap:
             self._extended = known = (self.live.changes, self._near, planes)
         return known[2]
 
+    @property
+    def sky(self) -> int:
+        """How many Gaussians show the sky: the first ones."""
+        return self.live.sky
+
+    @property
+    def drawn(self) -> Tensor:
+        """Parameters (P, N) that ``seen_from`` gave last, the live ones as they are now: nothing is moved."""
+        known = self._extended
+        return self.live.planes if known is None or known[0] != self.live.changes else known[2]
+
     def look_from(self, place: Float) -> None:
         """From now on ``seen_from`` gives the blocks of which something is within reach of ``place`` (3,) in metres."""
         distances = self._distances(list(self._blocks.values()), place)

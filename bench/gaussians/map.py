@@ -131,6 +131,11 @@ class GaussianMap:
         """How many Gaussians show the sky: the first ones."""
         return int(torch.searchsorted(self.anchor, torch.tensor(SKY, device=self.device).to(self.anchor), right=True))
 
+    @property
+    def drawn(self) -> Tensor:
+        """``planes``, as ``ChunkedMap.drawn``."""
+        return self.planes
+
     def seen_from(self, place: Float) -> Tensor:
         """``planes`` with the sky about ``place`` (3,)."""
         self._look_from(place)

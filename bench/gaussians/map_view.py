@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from bench.contracts.map_view import ImageLoss, MapView
+from bench.contracts.map_view import ImageLoss, MapPoints, MapView
 from bench.contracts.rasterizer import Rasterizer, Rendered
 from bench.errors import BenchError
 from bench.gaussians.chunked_map import ChunkedMap
 from bench.gaussians.map import GaussianMap
+from bench.gaussians.parameters import NamedParameters
 from bench.types import Float, Map, PinholeView, RenderedView
 
 if TYPE_CHECKING:
@@ -71,3 +72,11 @@ class GaussianMapView(MapView):
     def refined_pose(self, number: int) -> Float | None:
         """The keyframe's pose as mapping has it, where mapping optimises poses."""
         return self._refined_pose(number)
+
+    def points(self, most: int) -> MapPoints:
+        """Gaussians as they stand: asking for them from another place would move the sky, which rounds."""
+        seen = self._map.drawn[:, self._map.sky :]
+        named = NamedParameters(seen[:, :: max(1, -(-seen.shape[1] // most))].detach())
+        colors = (named.colors.clamp_max(1.0) * 255).round().to(torch.uint8)
+        radii = named.scales.amax(1)
+        return MapPoints(*(values.cpu().numpy() for values in (named.means.contiguous(), colors, radii)))

@@ -21,8 +21,11 @@ _HASH_LINE = "# bgs-bench run, config hash "
 _MISSING = object()
 _MOST_BYTES = 4_000_000
 """A config with the settings of all plugins has a few thousand."""
-NO_PART_OF_THE_RUN = ("output", "rerun", "resume", "checkpoint_s", "limits", "plugins", "pipeline", "threads", "cache")
-"""Settings that can't change a result: where a run lies and how it was started."""
+NO_PART_OF_THE_RUN = (
+    *("output", "rerun", "resume", "checkpoint_s", "limits", "plugins", "pipeline", "threads", "cache"),
+    *("viewer", "logger"),
+)
+"""Settings that can't change a result: where a run lies, how it was started, who follows it."""
 
 
 def write_config(folder: Path, config: dict[str, Any], config_hash: str) -> None:

@@ -29,11 +29,14 @@ TakeStates = Callable[[PairCheck], dict[str, Any] | None]
 
 @dataclass(frozen=True)
 class Seen:
-    """What the front end says about one frame; ``keyframe`` and the poses of that moment for a keyframe only.
+    """What the front end says about one frame, which has the pose ``T_world_cam`` unless it is lost; ``keyframe`` and
+    the poses of that moment for a keyframe only.
 
     ``states``: what the checkpoint that is due after this frame keeps of the front end; None = none is due.
     """
 
+    frame: StereoFrame
+    T_world_cam: Float | None
     row: dict[str, Any]
     events: tuple[Event, ...]
     keyframe: Keyframe | None = None
@@ -77,14 +80,15 @@ def _frames(system: System, check: PairCheck, first: int) -> Generator[Seen, Non
             "stereo_cached": depth_cost.cached,
         }
         events = (*told, *tracking.events)
+        of_frame = (frame, tracking.T_world_cam, row)
         if tracking.state == "lost" or row["heldout"]:
-            yield Seen(row, events)
+            yield Seen(*of_frame, events)
             continue
         decision = system.keyframer.update(frame, tracking)
         row["keyframe_reason"] = decision.reason
         row["is_keyframe"] = decision.is_keyframe
         if not (decision.is_keyframe and system.mapper.wants_keyframes):
-            yield Seen(row, events)
+            yield Seen(*of_frame, events)
             continue
         trajectory = system.tracker.trajectory()
         pose = trajectory.pose_of(frame.number)
@@ -96,7 +100,7 @@ def _frames(system: System, check: PairCheck, first: int) -> Generator[Seen, Non
         if not keyframe.depth.known.any():
             events = (*events, Event("no_depth", frame.number, {"source": keyframe.depth.source}))
         keyframe = replace(keyframe, exposure=tracking.exposure)
-        yield Seen(row, events, keyframe, decision.window, trajectory)
+        yield Seen(*of_frame, events, keyframe, decision.window, trajectory)
 
 
 def keyframe_of(system: System, position: int, frame: StereoFrame, T_world_cam: Float) -> tuple[Keyframe, Cost]:

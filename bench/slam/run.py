@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from bench.runs.status import RunStatus
 from bench.runs.watchdog import TimeLimitError, Watchdog, stacks_of_threads
 from bench.slam.checkpointing import CannotResumeError, repeat, restore, snapshot_of, states_of_front_end
 from bench.slam.front_end import Seen, front_end
+from bench.slam.observers import Observers
 from bench.slam.outputs import save_outputs, save_views
 from bench.slam.prefetch import in_background
 from bench.slam.progress import Progress
@@ -56,20 +57,24 @@ def run_system(
     progress: Tell | None = None,
     watchdog: Watchdog | None = None,
     foresee: Foresee | None = None,
+    observers: Observers | None = None,
 ) -> RunFolder:
     """Run the configured system and save the run; returns its folder.
 
     A run that was stopped or killed is resumed from its last checkpoint (``resume``), if nothing that its result
     depends on has changed since. Raises ``BenchError`` before anything is written for bad input that can be known
     beforehand. What goes wrong later is recorded in ``status.json`` (failed, out_of_memory, interrupted), what was done
-    is saved, and the error goes on. ``watchdog`` is one that watches more than this.
+    is saved, and the error goes on. ``watchdog`` is one that watches more than this, and ``observers`` are those of the
+    config for who goes on telling them, or ends them; by default they follow this alone.
     """
     watchdog = watchdog or Watchdog(config.limits)
-    with watchdog.watching():
-        return _run_system(config, progress, watchdog, foresee)
+    with watchdog.watching(), Observers.of(config) if observers is None else nullcontext(observers) as following:
+        return _run_system(config, progress, watchdog, foresee, following)
 
 
-def _run_system(config: RunConfig, progress: Tell | None, watchdog: Watchdog, foresee: Foresee | None) -> RunFolder:
+def _run_system(
+    config: RunConfig, progress: Tell | None, watchdog: Watchdog, foresee: Foresee | None, observers: Observers
+) -> RunFolder:
     values = config.values
     system = System.build(config)
     if foresee is not None:
@@ -84,7 +89,7 @@ def _run_system(config: RunConfig, progress: Tell | None, watchdog: Watchdog, fo
     checkpoints = Checkpoints(folder.path, fingerprint_of(config, system), values["checkpoint_s"])
     if not resuming:
         checkpoints.remove()
-    run = _Run(config, system, folder, checkpoints, watchdog, progress)
+    run = _Run(config, system, folder, checkpoints, watchdog, progress, observers)
     with folder.attach_log(), terminate_as_interrupt():
         folder.set_status("running", frames_total=run.total, stage="mapping")
         watchdog.begin(run.failed_status)
@@ -111,6 +116,7 @@ class _Run:
     checkpoints: Checkpoints
     watchdog: Watchdog
     progress: Tell | None
+    observers: Observers
     done: Progress = field(default_factory=Progress)
     memory: PeakMemory = field(default_factory=PeakMemory)
     _tracking: bool = True
@@ -137,6 +143,7 @@ class _Run:
         self._require_tracked()
         if not self.done.optimised:
             self._optimise_at_the_end()
+            self.observers.optimised(self.system)
             self.done.optimised = True
             # From here on views are written, and whoever resumes from this checkpoint can trust those that it finds.
             if self.checkpoints.due(at_once=True):
@@ -200,31 +207,34 @@ class _Run:
                 self.folder.warnings = self.done.warnings()
             resumed = {"resumed_after_frames": self.done.resumed_after()}
             self.folder.write_json(PROVENANCE_FILE, provenance | (resumed if snapshot is not None else {}))
+            self.observers.begin(self.folder.path, self.config, self.system, len(self.done.rows))
             for seen in stream:
-                self._take(seen)
+                self.observers.frame(self.system, seen, self._take(seen))
                 self._after_a_step("mapping")
                 if seen.states is not None:
                     self._write_checkpoint(seen.states)
                 if self.progress is not None:
                     self.progress(len(self.done.rows), self.total, self.done.psnr_db)
 
-    def _take(self, seen: Seen) -> None:
-        """Map a frame, if it is a keyframe, and note what became of it."""
+    def _take(self, seen: Seen) -> dict[str, float] | None:
+        """Map a frame, if it is a keyframe, and note what became of it; the losses of a keyframe."""
         row, done = seen.row, self.done
         done.seconds["tracking"] += row["tracking_s"]
         done.seconds["stereo"] += row["stereo_s"]
         done.note(seen.events)
         if row["state"] == "lost" and not (done.rows and done.rows[-1]["state"] == "lost"):
             done.note([Event("lost", row["number"])])
-        mapping_before = done.seconds["mapping"]
+        mapping_before, losses = done.seconds["mapping"], None
         if seen.keyframe is not None:
             done.keyframe_poses.append(seen.keyframe.T_world_cam.copy())
-            row |= _map_keyframe(self.system, done, seen)
+            cells, losses = _map_keyframe(self.system, done, seen)
+            row |= cells
         row["mapping_s"] = done.seconds["mapping"] - mapping_before
         row["memory_gb"] = self.memory.now_gb()
         done.rows.append(row)
         if seen.events:
             self.folder.warnings = done.warnings()
+        return losses
 
     def _require_tracked(self) -> None:
         """Raise ``BenchError`` where tracking never worked: the pose that the world begins at is no trajectory."""
@@ -277,8 +287,8 @@ def _note_of_mapper(system: System, done: Progress, events: Sequence[Event]) -> 
     done.note(events)
 
 
-def _map_keyframe(system: System, done: Progress, seen: Seen) -> dict[str, Any]:
-    """Let the mapper learn from a keyframe; returns its cells of ``frames.csv``."""
+def _map_keyframe(system: System, done: Progress, seen: Seen) -> tuple[dict[str, Any], dict[str, float]]:
+    """Let the mapper learn from a keyframe; returns its cells of ``frames.csv``, and its losses by name."""
     assert seen.keyframe is not None
     assert seen.trajectory is not None
     with done.timed("mapping"):
@@ -298,9 +308,10 @@ def _map_keyframe(system: System, done: Progress, seen: Seen) -> dict[str, Any]:
             ]
         ),
     )
-    return {
+    cells = {
         "mapped": True,
         "psnr_while_mapping": report.psnr_db,
         **({"right_mapped": True} if system.mapper.uses_right_images else {}),
         **size,
     }
+    return cells, report.losses

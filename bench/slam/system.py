@@ -20,6 +20,7 @@ from bench.errors import BenchError
 from bench.plugin_config import plugins_in
 from bench.process_memory import MemoryBudget
 from bench.protocol import Protocol
+from bench.registry import OBSERVERS
 from bench.runs.fingerprint import fingerprint
 
 
@@ -90,5 +91,9 @@ class System:
 
 def fingerprint_of(config: RunConfig, system: System) -> str:
     """What a checkpoint of this run must have been made with."""
-    used = [registry.lookup(kind, part["name"]) for kind, part in plugins_in(config.values) if kind != "evaluator"]
+    used = [
+        registry.lookup(kind, part["name"])
+        for kind, part in plugins_in(config.values)
+        if kind not in ("evaluator", *OBSERVERS)
+    ]
     return fingerprint(config.hash, [plugin.cls for plugin in used], system.weights())

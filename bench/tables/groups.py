@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bench.registry import RUN_KINDS, SEVERAL_AT_ONCE
+from bench.registry import OBSERVERS, RUN_KINDS, SEVERAL_AT_ONCE
 from bench.tables.collect import Column, Row
 from bench.tables.records.record import RunRecord, is_number
 from bench.tables.records.settings import Settings, scored_config, settings_of
@@ -104,7 +104,7 @@ def _settings_of(run: RunRecord) -> Settings:
     found = {key: _WORDS.get(value, value) for key, value in settings_of(scored_config(run)).items()}
     for kind in SEVERAL_AT_ONCE:
         part = run.config.get(kind)
-        if isinstance(part, Mapping) and kind != "evaluator":
+        if isinstance(part, Mapping) and kind not in ("evaluator", *OBSERVERS):
             found = {
                 key: value for key, value in found.items() if (key.split(".")[0], key.split(".")[-1]) != (kind, "name")
             }

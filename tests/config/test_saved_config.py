@@ -16,6 +16,7 @@ from bench.saved_config import overrides_of
 MADE = (
     *("system=bgs_slam_paper", "mapper.iterations=3", "mapper.depth_range_m=[1,50]", "loss=[rgb,geo]", "seed=4"),
     *("loss.geo.weight=0.25", "stereo.num_disparities=96", "protocol=heldout", "protocol.ssim=3dgs", "threads=2"),
+    "logger=[tensorboard,wandb]",
 )
 
 
@@ -31,6 +32,8 @@ def test_the_same_config_and_changes_of_it(tmp_path: Path) -> None:
     run = saved(tmp_path / "a", *MADE)
     again = compose_run(overrides_of(run, []))
     assert (again.hash, again.values["output"], again.values["threads"]) == (compose_run(MADE).hash, None, 2)
+    # Whoever followed that run is not asked to follow this one.
+    assert (again.values["viewer"], again.values["logger"]) == (None, {})
     for change, by_hand in {
         "seed=5": [*MADE, "seed=5"],
         "stereo=lidar": [*(each for each in MADE if not each.startswith("stereo")), "stereo=lidar"],
