@@ -17,9 +17,9 @@ import numpy.typing as npt
 from bench.errors import BenchError
 from bench.geometry import se3
 from bench.io.kitti_files import parse_numbers, read_lines
+from bench.io.named_matrices import is_rotation, named_numbers, named_rotation, rigid
 from bench.types import Float, StereoCamera
 
-_ROTATION_TOLERANCE = 1e-2
 # The two pose files say the same up to the digits that they are written with.
 _AGREEMENT = 1e-3
 _SAMPLE = 50
@@ -37,7 +37,7 @@ class Kitti360Calibration:
 
     def stereo_camera(self, size: tuple[int, int]) -> StereoCamera:
         """The rectified pair image_00, image_01, whose images have this (width, height) in pixels."""
-        P = [_named(self.perspective, f"P_rect_0{i}", 12)[0].reshape(3, 4) for i in range(2)]
+        P = [named_numbers(self.perspective, f"P_rect_0{i}", 12)[0].reshape(3, 4) for i in range(2)]
         for i, each in enumerate(P):
             K = each[:, :3]
             if not (K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1]) and abs(K[0, 1]) < 1e-9):
@@ -65,7 +65,7 @@ class Kitti360Calibration:
         return StereoCamera(*size, fx=fx, fy=fy, cx=cx, cy=cy, right_position=(x, y, z))
 
     def _require_size(self, size: tuple[int, int]) -> None:
-        written, line = _named(self.perspective, "S_rect_00", 2)
+        written, line = named_numbers(self.perspective, "S_rect_00", 2)
         if tuple(written.astype(int)) != size:
             raise BenchError(
                 f"The images are {size[0]}x{size[1]} pixels, but {self.perspective}, line {line}, is for "
@@ -74,14 +74,13 @@ class Kitti360Calibration:
 
     def T_rect0_cam0(self) -> Float:
         """4x4: the rectifying rotation R_rect_00."""
-        values, line = _named(self.perspective, "R_rect_00", 9)
-        return _rigid(np.column_stack([values.reshape(3, 3), np.zeros(3)]), self.perspective, line)
+        return named_rotation(self.perspective, "R_rect_00")
 
     def T_pose_rect0(self) -> Float:
         """4x4, metres: from the rectified left camera to the GPS/IMU frame, image_00 of calib_cam_to_pose R_rect^-1."""
         path = self._folder / "calib_cam_to_pose.txt"
-        values, line = _named(path, "image_00", 12)
-        return _rigid(values.reshape(3, 4), path, line) @ se3.inverse(self.T_rect0_cam0())
+        values, line = named_numbers(path, "image_00", 12)
+        return rigid(values.reshape(3, 4), path, line) @ se3.inverse(self.T_rect0_cam0())
 
     def T_rect0_velodyne(self) -> Float:
         """4x4, metres: from the LiDAR to the rectified left camera, R_rect_00 (calib_cam_to_velo)^-1."""
@@ -90,33 +89,7 @@ class Kitti360Calibration:
         if len(lines) != 1:
             raise BenchError(f"{path} has {len(lines)} lines, expected one with 12 numbers. Restore the file.")
         values = parse_numbers(lines[0], 12, path, 1)
-        return self.T_rect0_cam0() @ se3.inverse(_rigid(values.reshape(3, 4), path, 1))
-
-
-def _named(path: Path, name: str, count: int) -> tuple[Float, int]:
-    """The ``count`` numbers of the line ``NAME: ...`` and that line's number; other lines may hold anything."""
-    names = []
-    for line, text in enumerate(read_lines(path), start=1):
-        key, _, rest = text.partition(":")
-        if key.strip() == name:
-            return parse_numbers(rest, count, path, line), line
-        names.append(key.strip())
-    have = ", ".join(names[:8]) or "nothing"
-    raise BenchError(f"{path} has no line '{name}:' (it has {have}). Restore it from KITTI-360's calibration.zip.")
-
-
-def _is_rotation(R: Float) -> npt.NDArray[np.bool_]:
-    """Of matrices (..., 3, 3): which are rotations up to the rounding of the files."""
-    with np.errstate(over="ignore", invalid="ignore"):  # damaged numbers are no rotation either
-        off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-1, -2))
-        return np.asarray((off < _ROTATION_TOLERANCE) & (np.linalg.det(R) > 0))
-
-
-def _rigid(matrix: Float, path: Path, line: int) -> Float:
-    T = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
-    if not _is_rotation(T[:3, :3]):
-        raise BenchError(f"{path}, line {line}: the 3x3 part is not a rotation. Restore the file.")
-    return se3.orthonormalise(T)
+        return self.T_rect0_cam0() @ se3.inverse(rigid(values.reshape(3, 4), path, 1))
 
 
 @dataclass(frozen=True)
@@ -208,7 +181,7 @@ def _read_numbered(path: Path, columns: int) -> NumberedPoses:
     T[:, :3] = table[:, 1:13].reshape(-1, 3, 4)
     # The fourth row, where the file has one.
     off = np.abs(table[:, 13:] - np.array([0.0, 0.0, 0.0, 1.0])[: columns - 13]).max(axis=1, initial=0.0)
-    wrong = ~_is_rotation(T[:, :3, :3]) | (off > 1e-9)
+    wrong = ~is_rotation(T[:, :3, :3]) | (off > 1e-9)
     if wrong.any():
         raise BenchError(
             f"{path}, line {int(np.argmax(wrong)) + 1}: this is no rigid pose (rotation and translation, row by row). "

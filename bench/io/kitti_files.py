@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.errors import BenchError
 from bench.io.text_files import read_text
-from bench.types import Float
+from bench.types import Float, StereoCamera
 
 
 def read_lines(path: Path) -> list[str]:
@@ -90,6 +90,18 @@ class KittiCalibration:
         if not (K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1]) and abs(K[0, 1]) < 1e-9):
             raise BenchError(f"{self.path}: P{index} is not the projection of a rectified camera. Restore the file.")
         return K, np.linalg.solve(K, P[:, 3]).astype(np.float64)
+
+    def stereo_camera(self, left: int, right: int, size: tuple[int, int]) -> StereoCamera:
+        """The pair of these two cameras, whose images have this (width, height) in pixels; ``BenchError`` if none."""
+        K, t_left = self.projection(left)
+        K_right, t_right = self.projection(right)
+        if not np.allclose(K, K_right, atol=1e-6):
+            raise BenchError(f"{self.path}: P{left} and P{right} differ in K; a rectified pair shares it.")
+        x, y, z = (float(value) for value in t_left - t_right)
+        if x <= 0:
+            raise BenchError(f"{self.path}: P{left} and P{right} give a baseline of {x:.4f} m; it must be positive.")
+        fx, fy, cx, cy = (float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        return StereoCamera(*size, fx=fx, fy=fy, cx=cx, cy=cy, right_position=(x, y, z))
 
     def T_cam0_velodyne(self) -> Float:
         """4x4 rigid transform from the LiDAR's frame to cam0's; ``BenchError`` if ``Tr`` is absent."""

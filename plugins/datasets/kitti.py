@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,15 +9,14 @@ import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError, require_between, require_choice
-from bench.geometry.lidar import project_to_depth
-from bench.io.frame_range import describe, select_frames
-from bench.io.images import IMAGE_SUFFIXES, ImageSequence, describe_files, shrunk
+from bench.io.frame_range import select_frames
 from bench.io.kitti360_files import read_image_times
 from bench.io.kitti_files import KittiCalibration, read_kitti_times
-from bench.io.scans import check_scan_file, read_scan
+from bench.io.scans import NumberedScans
+from bench.io.stereo_images import StereoImages, images_by_number
 from bench.io.trajectories import known_poses, read_kitti_poses
 from bench.registry import PluginConfig, register
-from bench.types import Float, Map, StereoCamera, StereoFrame, Trajectory
+from bench.types import Float, Map, StereoFrame, Trajectory
 
 # Left and right camera of each pair, as KITTI numbers them.
 _PAIRS = {"gray": (0, 1), "color": (2, 3)}
@@ -61,26 +59,22 @@ class Kitti(Dataset):
         self.label = f"kitti/{sequence}"
         self._folder = folder
         folders = _image_folder(folder, left, config.camera), _image_folder(folder, right, config.camera)
-        self._left, self._right = (_images_by_number(side) for side in folders)
-        self.numbers = _frames_on_disk(self._left, self._right, folders, config)
+        images, others = (images_by_number(side) for side in folders)
+        self.numbers = select_frames(config.frames, list(images), str(folders[0]))
+        self._images = StereoImages(images, others, self.numbers)
         calibration = KittiCalibration.in_folders(folder, root)
         self._t_left = calibration.projection(left)[1]
-        self._scans: dict[int, Path] = {}
+        self._scans = NumberedScans(folder / "velodyne", self.numbers)
         self._lines = {"times": 0, "poses": 0}
         self._T_left_velodyne = self._check_scans(calibration)
-        self._times = self._read_times(folders[0])
+        self._times = self._read_times(folders[0], list(images))
         self._poses = self._read_poses(root / "poses" / f"{sequence}.txt")
-        chosen = [side[number] for number in self.numbers for side in (self._left, self._right)]
-        self._images = ImageSequence(chosen, [*self._left.values(), *self._right.values()])
-        self.camera = _stereo_camera(calibration, left, right, self._images.size).scaled(config.scale)
+        self.camera = calibration.stereo_camera(left, right, self._images.size).scaled(config.scale)
         self.remarks = (*self._images.remarks, *self._about_poses())
 
     def frame(self, position: int) -> StereoFrame:
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
-        number = self.numbers[position]
-        left, right = (self._images.read(side[number]) for side in (self._left, self._right))
-        size = (self.camera.width, self.camera.height)
-        return StereoFrame(number, float(self._times[position]), shrunk(left, size), shrunk(right, size))
+        return self._images.frame(self.numbers[position], float(self._times[position]), self.camera)
 
     def ground_truth(self) -> Trajectory | None:
         """Official poses of the left camera of the pair, or None for the sequences that have none (11 to 21).
@@ -97,23 +91,13 @@ class Kitti(Dataset):
 
     def lidar_depth(self, position: int) -> Map | None:
         """The scan of this frame in the left image, or None where the data set has no scan of it."""
-        path = self._scans.get(self.numbers[position])
-        if self._T_left_velodyne is None or path is None:
+        if self._T_left_velodyne is None:
             return None
-        points = read_scan(path)
-        # Points behind the vehicle can't be seen; dropping them first halves the work.
-        points = points[points[:, 0] > 0]
-        T = self._T_left_velodyne
-        return project_to_depth(points @ T[:3, :3].T + T[:3, 3], self.camera)
+        return self._scans.depth(self.numbers[position], self._T_left_velodyne, self.camera)
 
     def _check_scans(self, calibration: KittiCalibration) -> Float | None:
         if not (self._folder / "velodyne").is_dir():
             return None
-        files = (self._folder / "velodyne").glob("*.bin")
-        self._scans = {int(file.stem): file for file in files if file.stem.isdecimal()}
-        for number in self.numbers:
-            if number in self._scans:
-                check_scan_file(self._scans[number])
         T_left_cam0 = np.eye(4)
         T_left_cam0[:3, 3] = self._t_left
         return T_left_cam0 @ calibration.T_cam0_velodyne()
@@ -128,13 +112,13 @@ class Kitti(Dataset):
             remarks.append(f"{counts}: line k (from 0) is that of frame k, so one of the files is of something else")
         return remarks
 
-    def _read_times(self, images: Path) -> Float:
+    def _read_times(self, images: Path, there: list[int]) -> Float:
         numbers = np.array(self.numbers)
         path = self._folder / "times.txt"
         if not path.is_file():
             of_raw = images.parent / "timestamps.txt"
             if of_raw.is_file():
-                return read_image_times(of_raw, self.numbers, sorted(self._left))
+                return read_image_times(of_raw, self.numbers, there)
             return numbers / _RATE_HZ
         times = read_kitti_times(path)
         self._lines["times"] = len(times)
@@ -195,47 +179,3 @@ def _image_folder(folder: Path, camera: int, pair: str) -> Path:
         f"The folder {folder / f'image_{camera}'} of the {pair} pair does not exist. Download it, or choose the other "
         "dataset.camera (color or gray)."
     )
-
-
-def _images_by_number(folder: Path) -> dict[int, Path]:
-    """PNG and JPEG images whose name is their number, with any number of digits."""
-    images: dict[int, Path] = {}
-    files = sorted(file for file in folder.iterdir() if file.is_file() and not file.name.startswith("."))
-    for file in files:
-        if file.suffix.lower() not in IMAGE_SUFFIXES or not file.stem.isdecimal():
-            continue
-        number = int(file.stem)
-        if number in images:
-            raise BenchError(f"{images[number]} and {file.name} both are image {number}. Move one of them away.")
-        images[number] = file
-    if not images:
-        raise BenchError(
-            f"{folder} holds no PNG or JPEG image whose name is its number, as 000000.png (it holds "
-            f"{describe_files(files)}). Check dataset.root and dataset.sequence."
-        )
-    return images
-
-
-def _frames_on_disk(
-    left: Mapping[int, Path], right: Mapping[int, Path], folders: tuple[Path, Path], config: KittiConfig
-) -> tuple[int, ...]:
-    numbers = select_frames(config.frames, sorted(left), str(folders[0]))
-    missing = [number for number in numbers if number not in right]
-    if missing:
-        raise BenchError(
-            f"{folders[1]} lacks {describe(missing)}, whose left images are in {folders[0]} ({len(left)} left and "
-            f"{len(right)} right images). Restore the right images, or choose dataset.frames without them."
-        )
-    return numbers
-
-
-def _stereo_camera(calibration: KittiCalibration, left: int, right: int, size: tuple[int, int]) -> StereoCamera:
-    K, t_left = calibration.projection(left)
-    K_right, t_right = calibration.projection(right)
-    if not np.allclose(K, K_right, atol=1e-6):
-        raise BenchError(f"{calibration.path}: P{left} and P{right} differ in K; a rectified pair shares it.")
-    x, y, z = (float(value) for value in t_left - t_right)
-    if x <= 0:
-        raise BenchError(f"{calibration.path}: P{left} and P{right} give a baseline of {x:.4f} m; it must be positive.")
-    fx, fy, cx, cy = (float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return StereoCamera(*size, fx=fx, fy=fy, cx=cx, cy=cy, right_position=(x, y, z))

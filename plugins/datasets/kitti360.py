@@ -15,9 +15,9 @@ from bench.geometry import se3
 from bench.geometry.lidar import project_to_depth
 from bench.geometry.scan_motion import compensate_motion
 from bench.io.frame_range import describe, select_frames
-from bench.io.images import ImageSequence, shrunk
 from bench.io.kitti360_files import Kitti360Calibration, NumberedPoses, read_cam0_poses, read_image_times
 from bench.io.scans import check_scan_file, read_scan
+from bench.io.stereo_images import StereoImages, images_by_number
 from bench.registry import PluginConfig, register
 from bench.types import Float, Map, StereoFrame, Trajectory
 
@@ -71,28 +71,23 @@ class Kitti360(Dataset):
         drive = f"2013_05_28_drive_{sequence}_sync"
         raw = _existing_sequence(root, drive, sequence)
         self.label = f"kitti360/{sequence}"
-        self._left, self._right = (_rectified_images(raw / side, sequence) for side in _SIDES)
+        left, right = (_rectified_images(raw / side, sequence) for side in _SIDES)
         calibration = Kitti360Calibration(root / "calibration")
         self._poses = read_cam0_poses(root / "data_poses" / drive, calibration)
-        there = _image_numbers(self._left)
-        asked = select_frames(config.frames, there, str(self._left))
+        images = images_by_number(left)
+        asked = select_frames(config.frames, list(images), str(left))
         self.numbers = self._with_poses(asked, config)[: config.first or None]
-        _require_right_images(self.numbers, self._left, self._right)
-        files = [side / _image(number) for number in self.numbers for side in (self._left, self._right)]
-        self._images = ImageSequence(files, [*self._left.glob("*.png"), *self._right.glob("*.png")])
+        self._images = StereoImages(images, images_by_number(right), self.numbers)
         self.remarks = self._images.remarks
         self.camera = calibration.stereo_camera(self._images.size).scaled(config.scale)
-        self._times = _times(self._left.parent / "timestamps.txt", self.numbers, there)
+        self._times = _times(left.parent / "timestamps.txt", self.numbers, list(images))
         self._scans = root / "data_3d_raw" / drive / "velodyne_points" / "data"
         self._uncurl = config.uncurl
         self._T_left_velodyne = self._check_scans(calibration)
 
     def frame(self, position: int) -> StereoFrame:
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
-        number = self.numbers[position]
-        left, right = (self._images.read(side / _image(number)) for side in (self._left, self._right))
-        size = (self.camera.width, self.camera.height)
-        return StereoFrame(number, float(self._times[position]), shrunk(left, size), shrunk(right, size))
+        return self._images.frame(self.numbers[position], float(self._times[position]), self.camera)
 
     def ground_truth(self) -> Trajectory | None:
         """Poses of rectified image_00, the first the identity; None without pose files."""
@@ -162,10 +157,6 @@ class Kitti360(Dataset):
         return calibration.T_rect0_velodyne()
 
 
-def _image(number: int) -> str:
-    return f"{number:010d}.png"
-
-
 def _range(poses: NumberedPoses) -> str:
     return f"{len(poses.ids)} poses of frames {poses.ids[0]} to {poses.ids[-1]}"
 
@@ -229,18 +220,4 @@ def _raise_if_withheld(sequence: str, folder: Path) -> None:
         raise BenchError(
             f"dataset.sequence={sequence}: there are no images in {folder}, as KITTI-360's authors withhold the "
             "perspective images of this sequence from the public. Choose 0000, 0002 to 0007, 0009 or 0010."
-        )
-
-
-def _image_numbers(folder: Path) -> list[int]:
-    return sorted(int(path.stem) for path in folder.glob("*.png") if path.stem.isdecimal())
-
-
-def _require_right_images(numbers: tuple[int, ...], left: Path, right: Path) -> None:
-    there = set(_image_numbers(right))
-    missing = [number for number in numbers if number not in there]
-    if missing:
-        raise BenchError(
-            f"{right} lacks {describe(missing)}, whose left images are in {left} ({len(there)} right images). Restore "
-            "the right images, or choose dataset.frames without them."
         )
