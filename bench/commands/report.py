@@ -38,7 +38,7 @@ def add_parser(subparsers: Any) -> None:
                         help=f"run folders, or folders of them; default: all under {RUNS_FOLDER}")  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("report"), metavar="DIR", help="default: report")
     parser.add_argument("--views", type=int, metavar="N", help="pictures of N views a run (default: 8 to 24, by runs)")
-    parser.add_argument("--maps", type=int, default=4, metavar="N", help="maps in 3D of the first N runs (default 4)")
+    parser.add_argument("--maps", type=int, default=2, metavar="N", help="maps in 3D of the first N runs (default 2)")
     parser.add_argument("--plugins", action="append", default=[], metavar="FOLDER", help="plugins that runs need")
     parser.set_defaults(run=run)
 

@@ -22,7 +22,6 @@ SCORES = (
     ("depth_l1_cm", "Depth-L1", "cm"),
     ("ate_m", "Error of position", "m"),
 )
-_TIMES = {"tracking": ("tracking_s", "tracking_cached"), "stereo": ("stereo_s", "stereo_cached")}
 
 
 @dataclass(frozen=True)
@@ -83,14 +82,13 @@ def curves_of(run: ShownRun) -> list[Curve]:
 
 
 def times_of(run: ShownRun) -> dict[str, pd.Series]:
-    """Seconds of each part by frame; what came from the disk cache took no time that counts, and has none."""
+    """Seconds of each part by frame; of what came from the disk cache, which the name tells, those of computing it."""
     found = {}
-    for name, (column, cached) in _TIMES.items():
-        seconds = _column(run, column)
-        if cached in run.frames and len(seconds):
-            seconds = seconds.mask(is_yes(_column(run, cached)))
-        found[name] = seconds
-    return found | {"mapping": _column(run, "mapping_s")}
+    for name in ("tracking", "stereo", "mapping"):
+        cached = f"{name}_cached"
+        kept = cached in run.frames and is_yes(run.frames[cached]).any()
+        found[f"{name}, as cached" if kept else name] = _column(run, f"{name}_s")
+    return found
 
 
 def curve_figure(curve: Curve) -> go.Figure:

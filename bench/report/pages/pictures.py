@@ -23,7 +23,7 @@ ERROR_RANGE = 0.25
 """Errors of colour from here on, of 1, have the brightest colour."""
 DEPTH_ERROR_RANGE = 0.2
 """And errors of depth from here on, as a share of the reference."""
-_QUALITY = 80
+_QUALITY = 75
 _WORST = 50
 _DEPTH_COLORS, _ERROR_COLORS = cv2.COLORMAP_TURBO, cv2.COLORMAP_INFERNO
 # Of the scored values of a view, those that stand below it: column, heading, unit, digits.

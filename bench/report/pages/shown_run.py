@@ -80,8 +80,7 @@ def read_shown_run(folder: Path) -> ShownRun:
         path = _tried(lambda: _path(saved, record, problems), None, problems)
         loops = _tried(lambda: _loops(folder), loops, problems)
         provenance = _tried(lambda: read_provenance(folder), provenance, problems)
-    known = [*record.damage, *(note for note in record.notes if note not in problems)]
-    problems += [each for each in known if each not in problems]
+    problems += [each for each in record.damage if each not in problems]
     return ShownRun(record, row_of(record), saved, frames, views, path, loops, provenance, tuple(problems))
 
 

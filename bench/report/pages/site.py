@@ -60,13 +60,18 @@ class Choice:
 
 @dataclass(frozen=True)
 class RunPage:
-    """What a run's page holds; ``base`` leads from the index to the folder of its pictures."""
+    """What a run's page holds; ``base`` leads from the index to the folder of its pictures.
+
+    ``label`` tells the run from the others by its settings and its seed; the run's name where these don't.
+    """
 
     run: ShownRun
+    label: str
     base: str
     views: tuple[ShownView, ...]
     problems: tuple[str, ...]
-    has_map: bool
+    no_map: str
+    """Why there is no map in 3D; empty where there is one."""
     trajectory: Markup | None
     curves: tuple[tuple[str, Markup], ...]
 
@@ -88,11 +93,12 @@ def write_report(
     shutil.rmtree(out / "runs", ignore_errors=True)  # those of an older report
     read = {id(run.row): run for run in map(read_shown_run, folders)}
     runs = [read[id(row)] for row in by_settings([run.row for run in read.values()])]
+    labels = _labels(runs)
     count = min(_MOST, max(_FEWEST, _VIEWS_IN_ALL // len(runs))) if views is None else views
     pages = []
     for place, run in enumerate(runs, 1):
         on_progress("runs", place - 1, len(runs))
-        pages.append(_page(run, place, out, count, place <= maps, maps))
+        pages.append(_page(run, labels[place - 1], place, out, count, maps))
     on_progress("runs", len(runs), len(runs))
     templates = _templates()
     common = {"error_range": ERROR_RANGE, "depth_error_range": DEPTH_ERROR_RANGE, "views_each": count}
@@ -108,10 +114,19 @@ def write_report(
         write_text(out / (INDEX if alone else f"{page.base}{INDEX}"), text)
     if len(pages) > 1:
         write_text(out / INDEX, templates.get_template("index.html").render(**_overview(pages), **common))
-    return out / INDEX, [f"{page.name}: {problem}" for page in pages for problem in page.problems]
+    lacking = [f"{page.name}: {problem}" for page in pages for problem in page.problems]
+    return out / INDEX, lacking + list(dict.fromkeys(page.no_map for page in pages[:maps] if page.no_map))
 
 
-def _page(run: ShownRun, place: int, out: Path, count: int, with_map: bool, maps: int) -> RunPage:
+def _labels(runs: Sequence[ShownRun]) -> list[str]:
+    grouped = group_runs([run.row for run in runs])
+    if len(grouped.rows) < 2 or not grouped.settings:
+        return [run.record.name for run in runs]
+    groups = {run.source: grouped.label(row) for row in grouped.rows for run in row.runs}
+    return [f"{groups[run.record.source]}, seed {run.record.seed}" for run in runs]
+
+
+def _page(run: ShownRun, label: str, place: int, out: Path, count: int, maps: int) -> RunPage:
     base = f"runs/{place:03d}/"
     folder = out / base
     try:
@@ -122,28 +137,32 @@ def _page(run: ShownRun, place: int, out: Path, count: int, with_map: bool, maps
     views = tuple(write_views(run, chosen, folder)) if chosen else ()
     problems = [*run.problems, missing_renders(run)]
     problems += [f"frame {view.number}, {view.camera} camera: {view.problem}" for view in views if view.problem]
-    has_map = False
-    if not with_map:
-        problems.append(f"The map in 3D is made of the first {maps} runs; --maps {place} makes it of this one too.")
-    elif isinstance(run.saved, SavedRunFolder):
-        try:
-            trajectory = run.saved.trajectory if run.path is not None else None
-            write_map_page(viewer(), map_file(run.saved), trajectory, folder / "map.html")
-            has_map = True
-        except BenchError as error:
-            problems.append(str(error))
+    no_map = f"The map in 3D is made of the first {maps} runs; --maps {place} makes it of this one too."
+    if place <= maps:
+        no_map = _write_map(run, folder / "map.html")
     drawn = trajectory_figure(run)
     return RunPage(
-        run, base, views, tuple(dict.fromkeys(problem for problem in problems if problem)), has_map,
+        run, label, base, views, tuple(dict.fromkeys(problem for problem in problems if problem)), no_map,
         None if drawn is None else _json(drawn),
         tuple((curve.title, _json(curve_figure(curve))) for curve in curves_of(run)),
     )  # fmt: skip
 
 
+def _write_map(run: ShownRun, page: Path) -> str:
+    """Write the page of the map in 3D; why that can't be done, or nothing."""
+    if not isinstance(run.saved, SavedRunFolder):
+        return "This run can't be read."
+    try:
+        trajectory = run.saved.trajectory if run.path is not None else None
+        write_map_page(viewer(), map_file(run.saved), trajectory, page)
+    except BenchError as error:
+        return str(error)
+    return ""
+
+
 def _overview(pages: Sequence[RunPage]) -> dict[str, Any]:
     """What the first page of several runs is made from."""
     runs = [page.run for page in pages]
-    names = [page.name for page in pages]
     grouped, beside = group_runs([run.row for run in runs]), _beside(pages)
     sweeps, left_out = sweeps_of(runs)
     return {
@@ -153,7 +172,11 @@ def _overview(pages: Sequence[RunPage]) -> dict[str, Any]:
         "means": runs_document([run.row for run in runs]) if grouped.has_groups else None,
         "beside": _script_safe(json.dumps(beside)),
         "beside_views": [(view, len(several)) for view, several in beside.items()],
-        "overlays": Choice("By frame", "", tuple((title, _json(made)) for title, made in overlays(runs, names))),
+        "overlays": Choice(
+            "By frame",
+            "",
+            tuple((title, _json(made)) for title, made in overlays(runs, [page.label for page in pages])),
+        ),
         "sweeps": [(sweep, _choices(sweep), _pairs(sweep)) for sweep in sweeps],
         "left_out": left_out,
         "made": made_in_words([_with_provenance(run) for run in runs]),
@@ -199,7 +222,8 @@ def _beside(pages: Sequence[RunPage]) -> dict[str, Any]:
         for view in page.views:
             files_of = {what: f"{page.base}{name}" for what, name in view.files.items()}
             psnr = None if view.psnr_db is None else f"{view.psnr_db:.2f} dB"
-            about = {"run": plain_line(page.name), "psnr": psnr, "seen": view.seen, "files": files_of}
+            named = page.name if page.label == page.name else f"{page.name}: {page.label}"
+            about = {"run": plain_line(named), "psnr": psnr, "seen": view.seen, "files": files_of}
             shown.setdefault(f"{page.run.record.dataset}, {view.key}", []).append(about)
     return dict(sorted(shown.items(), key=lambda each: -len(each[1])))
 

@@ -70,7 +70,9 @@ def sweeps_of(runs: Sequence[ShownRun]) -> tuple[list[Sweep], list[str]]:
         metrics |= {metric.key: metric for metric in declared_metrics() if metric.column != "never"}
         known = [each for each in metrics.values() if sum(_number(row, each.key) is not None for row in rows) > 1]
         if keys and known:
-            known.sort(key=lambda metric: metric.order)
+            known.sort(
+                key=lambda each: _QUALITY.index(each.key) if each.key in _QUALITY else len(_QUALITY) + each.order
+            )
             found.append(Sweep(str(dataset), rows, grouped, keys, tuple(known)))
     return found, left_out
 
@@ -140,7 +142,7 @@ def pareto(sweep: Sweep) -> Iterator[Named]:
         best = unbeaten(points * [1.0, -1.0 if good.better == "higher" else 1.0])
         made = figure(_named(cheap), _named(good), 400)
         front = points[best][np.argsort(points[best][:, 0], kind="stable")]
-        made.add_scatter(x=front[:, 0], y=front[:, 1], mode="lines", name="beaten by none",
+        made.add_scatter(x=front[:, 0], y=front[:, 1], mode="lines", showlegend=False, hoverinfo="skip",
                          line={"color": ORANGE, "width": 1.5, "dash": "dot"})  # fmt: skip
         for name, chosen, color in (("beaten by none in both", best, ORANGE), ("others", ~best, GREY)):
             several = [row for row, is_one in zip(rows, chosen, strict=True) if is_one]
