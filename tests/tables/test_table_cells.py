@@ -61,7 +61,7 @@ def test_withheld_cells_say_so() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["main_kitti", "ablation", "backbones", "mixed", "readings"])
+@pytest.mark.parametrize("name", ["main_kitti", "ablation", "backbones", "baselines", "mixed", "readings"])
 def test_what_hydra_composes_belongs_to_its_own_row_alone(name: str) -> None:
     table = named_table(name)
     sequence, chosen = next(iter(table.sequences.items()))
@@ -131,11 +131,13 @@ def test_unknown_tables_are_named() -> None:
     assert sorted(table_files()) == [
         "ablation",
         "backbones",
+        "baselines",
         "main_kitti",
         "main_kitti360",
         "memory",
         "mixed",
         "readings",
         "runtime",
+        "small_motion",
         "unseen",
     ]
