@@ -17,20 +17,8 @@ from bench.terminal import output_error, print_anywhere, tell
 _DISTRIBUTION = "bgs-slam-bench"
 _NOBODY_READS = 141  # 128 + SIGPIPE, as other programs end then
 _COMMANDS = (
-    *(
-        "run",
-        "list",
-        "table",
-        "reproduce",
-        "evaluate",
-        "score",
-        "map",
-        "report",
-        "stereo-eval",
-        "vocabulary",
-        "weights",
-    ),
-    *("cache", "new-plugin", "check-plugin", "doctor"),
+    *("run", "list", "table", "reproduce", "evaluate", "score", "map", "report", "figure"),
+    *("stereo-eval", "vocabulary", "weights", "cache", "new-plugin", "check-plugin", "doctor"),
 )
 """Each is a module in ``bench.commands``, in the order of ``--help``."""
 
