@@ -95,9 +95,10 @@ def grid_figure(grid: Grid, width_in: float) -> Figure:
     return figure
 
 
-def _share(figure: Figure, box_in: Sequence[float]) -> tuple[float, ...]:
+def _share(figure: Figure, box_in: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    """Left, bottom, width and height as shares of the figure's."""
     width, height = figure.get_size_inches()
-    return tuple(np.divide(box_in, (width, height, width, height)[: len(box_in)]).tolist())
+    return box_in[0] / width, box_in[1] / height, box_in[2] / width, box_in[3] / height
 
 
 def _size_of(texts: Sequence[str], room_in: float) -> float:
@@ -106,7 +107,7 @@ def _size_of(texts: Sequence[str], room_in: float) -> float:
 
 
 def _write(figure: Figure, text: str, middle_in: tuple[float, float], size: float, rotation: float = 0) -> None:
-    x, y = _share(figure, middle_in)
+    x, y, _, _ = _share(figure, (*middle_in, 0.0, 0.0))
     # What others wrote is no formula.
     figure.text(x, y, text, size=size, rotation=rotation, ha="center", va="center", parse_math=False)
 
@@ -118,6 +119,11 @@ def _draw(figure: Figure, cell: Cell, box_in: tuple[float, float, float, float],
         is_depth = cell.picture.ndim == 2
         axes.imshow(depths.to_rgba(np.ma.masked_invalid(cell.picture)) if is_depth else cell.picture, aspect="auto")
     if cell.note:
-        box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1}
-        place = {"transform": axes.transAxes, "ha": "left", "va": "top", "bbox": box}
-        axes.text(0.01, 0.96, cell.note, size=_FONT_PT - 2, parse_math=False, **place)
+        axes.text(
+            *(0.01, 0.96, cell.note),
+            size=_FONT_PT - 2,
+            transform=axes.transAxes,
+            va="top",
+            bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1},
+            parse_math=False,
+        )

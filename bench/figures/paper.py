@@ -92,7 +92,7 @@ def _limit(method: Method, shown: Sequence[Shown], rows: Sequence[Sequence[Cell]
     rendered = [cell.picture for row in rows for cell in row if cell.picture is not None and cell.picture.ndim == 2]
     truth = [depth for each in shown if (depth := _known_depth(method, each.number)) is not None]
     for depths in (truth, rendered):
-        known = np.concatenate([depth[np.isfinite(depth)] for depth in depths] or [np.zeros(0)])
+        known = np.concatenate([depth[np.isfinite(depth)] for depth in depths] or [np.zeros(0, np.float32)])
         if len(known):
             return float(np.quantile(known, _FARTHEST_SHARE)) if np.isnan(max_depth_m) else max_depth_m
     return None

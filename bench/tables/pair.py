@@ -127,7 +127,9 @@ def _of_camera(metric: Metric, camera: str, frames: pd.DataFrame) -> FramesPair:
     return FramesPair(
         metric,
         camera,
-        *(better.count(which) for which in ("A", "B", "")),
+        better.count("A"),
+        better.count("B"),
+        better.count(""),
         tuple((int(frames["number"][row]), float(x[row]), float(y[row])) for row in largest),
     )
 
