@@ -37,6 +37,8 @@ _SLACK_M = 1.0
 """What a loop may move the camera by in any case."""
 _KNOWN_ROAD_PLACES = 2
 """On a road that a closed loop has tied down, one place in so many is matched."""
+_MISSED_ON_THE_WAY_BACK = 3
+"""Places in a row that may fail to match before a closed loop is followed back no farther."""
 _REFINE_MATCHES, _REFINE_M, _REFINE_DEG = 3, 0.25, 0.5
 """After so many more matches the pose graph is solved again if poses are off by this; after three times as many, or a
 tenth of the loops that it has, anyway: its time grows with them, and so a long second round costs no more a loop."""
@@ -285,9 +287,14 @@ class LoopCloser:
             # Odometry speaks against it more strongly than so few matches speak for it: ask again with twice as many.
             run.wanted = 2 * len(run.matches)
             return None
-        run.closed, run.waiting = True, 0
+        first, run.closed, run.waiting = not run.closed, True, 0
         self._edges += edges
         self._chain.freeze()
+        if first and (earlier := self._earlier_matches(run, corrected)):
+            with_them = [*self._edges, *map(self._edge, earlier)]
+            again, of_all = optimise(Graph(*self._chain.steps(), with_them), corrected)
+            if of_all[-len(earlier) :].mean() > 0.5:
+                self._edges, corrected, believed = with_them, again, of_all
         moves = np.linalg.norm(corrected[:, :3, 3] - poses[:, :3, 3], axis=1)
         self._at_places = corrected[self._places.keyframes]
         return Closure(
@@ -300,6 +307,32 @@ class LoopCloser:
             int((moves > 0.01).sum()),
             float(moves.max()),
         )
+
+    def _earlier_matches(self, run: Run, poses: Float) -> list[Match]:
+        """Matches of the places before a run's first, back to where the two roads met: those that drift beyond
+        ``max_drift`` had hidden. From corrected ``poses`` (K, 4, 4) they are where the run says; else few are asked."""
+        keyframes, at_places = self._places.keyframes, poses[self._places.keyframes]
+        back, missed = Run(run.matches[:1]), 0
+        for new in range(run.matches[0].new - _KNOWN_ROAD_PLACES, 0, -_KNOWN_ROAD_PLACES):
+            way, _ = self._chain.way(keyframes[:new], keyframes[new])
+            apart = np.linalg.norm(at_places[:new, :3, 3] - back.predicted(at_places, new)[:3, 3], axis=1)
+            apart[way < self._set.min_way_m] = np.inf
+            old = int(apart.argmin())
+            near = apart[old] <= _VIEWING_RANGE_M
+            verified = (
+                verify(self._camera, self._places[old], self._places[new], self._set.min_inliers) if near else None
+            )
+            since, _ = self._chain.way(keyframes[[new]], keyframes[back.last.new])
+            if verified is not None and back.continues_with(
+                match := Match(old, new, verified), at_places, float(since[0])
+            ):
+                back.append(match)
+                missed = 0
+            else:
+                missed += 1
+            if missed > _MISSED_ON_THE_WAY_BACK:
+                break
+        return back.matches[1:]
 
     def _is_ready(self, run: Run) -> bool:
         if run.last.new != len(self._places) - 1:

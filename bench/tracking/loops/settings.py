@@ -25,7 +25,7 @@ class LoopSettings:
     """Places in a row that must be found again, in agreement with the odometry, before a loop is closed."""
     min_way_m: float = 30.0
     """Shorter loops are not looked for: such places still see each other."""
-    max_drift: float = 0.05
+    max_drift: float = 0.1
     """Loops that say that the odometry is off by more than this share of the way between are not believed."""
 
     def __post_init__(self) -> None:

@@ -57,6 +57,23 @@ def test_a_round_closes_and_takes_the_drift_away(make_road: Any, make_drive: Any
     assert len(closures) <= 4
 
 
+def test_a_loop_that_is_found_late_is_followed_back_to_where_the_roads_met(
+    make_road: Any, make_drive: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The round is complete at 240 m, and the drift is taken for too large until 270 m."""
+    road = make_road()
+    drive = make_drive(road, 300)
+    closer = closer_for(road)
+    allowed = closer._allowed
+    monkeypatch.setattr(closer, "_allowed", lambda: allowed() & (closer._places.keyframes[-1] > 270))
+    closures = follow(drive, closer, 300)
+    assert closures[0].new > 270
+    # Places 15 m apart still see each other.
+    assert 225 <= min(edge.second for edge in closer._edges) < 250
+    assert false_edges(drive, closer) == 0
+    assert drive.error_m() < 0.3
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_repeated_walls_close_no_loop_before_the_round_is_complete(
     make_road: Any, make_drive: Any, seed: int, monkeypatch: pytest.MonkeyPatch
