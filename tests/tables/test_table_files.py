@@ -125,7 +125,7 @@ def test_the_commands_know_it(mine: Path, tmp_path: Path, capsys: pytest.Capture
     assert "19.5" in capsys.readouterr().out
     with pytest.raises(SystemExit):
         main(["table", "--plugins", str(mine), "--help"])
-    assert "runtime, unseen, invented, dialects; without a name" in capsys.readouterr().out
+    assert "unseen, invented, dialects; without a name" in " ".join(capsys.readouterr().out.split())
     assert main(["table", "inventd", "--plugins", str(mine)]) == 2
     assert "Did you mean 'invented'?" in capsys.readouterr().err
     assert main(["reproduce", "invented", f"plugins=[{mine}]", "dataset.frames=4", "--dry-run"]) == 0
