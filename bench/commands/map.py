@@ -9,20 +9,15 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import registry
-from bench.contracts.mapper import Mapper
 from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.saved_run import SavedRunFolder
 from bench.gaussians.map import GaussianMap
-from bench.gaussians.map_view import GaussianMapView
 from bench.gaussians.parameters import NamedParameters
 from bench.io.atomic import write_image
-from bench.io.frame_range import describe
-from bench.plugin_config import plugin_config_from
 from bench.runs.folder import color_to_8bit
+from bench.saved_map import load_map, map_file
 from bench.terminal import say
-from bench.types import Image, PinholeView
 
 _EXAMPLES = """examples:
   bgs-bench map results/runs/3f2a9c01d4e5
@@ -70,10 +65,11 @@ def run(args: argparse.Namespace) -> int:
     # Of the command line alone: code that the run folder names is a stranger's.
     load_plugins(args.plugins)
     if args.view is None:
-        path = _map_file(SavedRunFolder(args.source)) if args.source.is_dir() else args.source
+        path = map_file(SavedRunFolder(args.source)) if args.source.is_dir() else args.source
         _print(path, GaussianMap.load(path), Console())
     else:
-        write_image(args.out, _rendered(SavedRunFolder(args.source), args.view, args.right))
+        saved = load_map(args.source)
+        write_image(args.out, color_to_8bit(saved.render(saved.view_of(args.view, args.right)).color))
         print(args.out)
     return 0
 
@@ -96,33 +92,3 @@ def _print(path: Path, gaussians: GaussianMap, console: Console) -> None:
         places = [round(share * (len(ordered) - 1)) for share in _QUANTILES]
         table.add_row(name, *(f"{float(ordered[place]):.4g}" for place in places))
     console.print(table)
-
-
-def _map_file(saved: SavedRunFolder) -> Path:
-    """The map that the run's mapper saved; ``BenchError`` for a mapper that saves none."""
-    name = (saved.config.get("mapper") or {}).get("name")
-    if name:
-        saved.require("mapper", str(name))
-    mapper = registry.lookup("mapper", str(name)).cls if name else Mapper
-    assert issubclass(mapper, Mapper)
-    if mapper.map_file is None:
-        raise BenchError(f"The run {saved.path} has no map: its mapper ({name or 'unknown'}) saves none.")
-    return saved.path / mapper.map_file
-
-
-def _rendered(saved: SavedRunFolder, number: int, right: bool) -> Image:
-    """A frame's view of the saved map, by the rasterizer, camera and trajectory of the run."""
-    path = _map_file(saved)
-    settings = saved.config["mapper"].get("rasterizer")
-    if not isinstance(settings, dict):
-        raise BenchError(f"The mapper of {saved.path} has no rasterizer to render its map with.")
-    pose = saved.trajectory.pose_of(number)
-    if pose is None:
-        there = describe(saved.trajectory.numbers.tolist())
-        raise BenchError(f"{saved.path} has no pose of frame {number}; it has those of {there}.")
-    camera = saved.dataset.camera
-    saved.require("rasterizer", str(settings.get("name", "")))
-    rasterizer = registry.build(plugin_config_from("rasterizer", settings), "rasterizer")
-    view = PinholeView.of(camera, pose @ camera.T_left_right if right else pose)
-    gaussians = GaussianMap.load(path, rasterizer.device)
-    return color_to_8bit(GaussianMapView(gaussians, rasterizer).render(view).color)

@@ -10,14 +10,13 @@ from rich.console import Console
 
 from bench.errors import BenchError, did_you_mean
 from bench.runs.config_file import RUNS_FOLDER
-from bench.tables.collect import collect_row, find_runs, row_of
 from bench.tables.document.forms import FORMS, form_of, save, text_of
-from bench.tables.groups import by_settings
+from bench.tables.frame import rows_at
 from bench.tables.named.find import table_names
 from bench.tables.named.grid import COLUMNS
 from bench.tables.named.records import read_runs
 from bench.tables.named.table import make_table
-from bench.tables.records.file import SUFFIX, is_record_file, read_record_file, record_text
+from bench.tables.records.file import SUFFIX, is_record_file, record_text
 from bench.tables.records.record import VIEW_GROUPS
 from bench.tables.render import print_table, runs_document
 from bench.terminal import say
@@ -101,11 +100,7 @@ def run(args: argparse.Namespace) -> int:
     if args.columns != "both":
         raise BenchError(f"--columns {args.columns} is for a named table, one of {', '.join(names)}.")
     forms = {path: "" if is_record_file(path) else form_of(path, f" or {SUFFIX}") for path in args.out}
-    files = [path for path in paths if is_record_file(path)]
-    given = [path for path in paths if path not in files]
-    folders = find_runs(given) if given or not files else []
-    rows = [row_of(run) for file in files for run in read_record_file(file).runs]
-    rows = by_settings([*rows, *(collect_row(folder) for folder in folders)])
+    rows = rows_at(paths)
     document = runs_document(rows)
     if args.format and not args.out:
         print(text_of(document, args.format, Path()), end="")

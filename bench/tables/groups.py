@@ -56,8 +56,8 @@ class GroupedRuns:
         ]
 
 
-def group_runs(rows: Sequence[Row]) -> GroupedRuns:
-    """Group the rows of single runs, in the order in which they first appear.
+def group_runs(rows: Sequence[Row], average: bool = True) -> GroupedRuns:
+    """Group the rows of single runs, in the order in which they first appear; each alone without ``average``.
 
     Runs are averaged that have all settings but the seed in common, ended alike after equally many frames, and whose
     seeds differ. A damaged run, and one without a config, stays alone.
@@ -69,7 +69,7 @@ def group_runs(rows: Sequence[Row]) -> GroupedRuns:
     groups: list[list[int]] = []
     for places in found.values():
         seeds = [rows[place].runs[0].seed for place in places if rows[place].runs]
-        groups += [places] if len(set(seeds)) == len(places) else [[place] for place in places]
+        groups += [places] if average and len(set(seeds)) == len(places) else [[place] for place in places]
     groups.sort()
     keys = _varied([each for each in settings if each])
     made = []

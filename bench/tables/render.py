@@ -71,6 +71,12 @@ def runs_document(rows: Sequence[Row], columns: Sequence[Column] = (), name: str
     )
 
 
+def runs_data(rows: Sequence[Row], average: bool) -> Data:
+    """The data of the table of runs, without the static camera; ``average``: one row for runs that differ in the seed
+    alone."""
+    return _data(group_runs(rows, average), [], columns_of(rows), False)
+
+
 def _data(grouped: GroupedRuns, references: Sequence[Row], usual: Sequence[Column], as_they_are: bool) -> Data:
     first, *others = usual
     keys = [first.key, *(column.key for column in grouped.settings)]
