@@ -74,7 +74,7 @@ class SavedMap:
 
     def _view(self, pose: Float, width: int | None, height: int | None, K: npt.ArrayLike | None) -> PinholeView:
         """A view that is checked: a wrong pose would give a picture all the same."""
-        if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.array_equal(pose[3], [0, 0, 0, 1]):
+        if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
             raise BenchError("The pose must be T_world_cam, a (4, 4) matrix of finite numbers that ends in 0 0 0 1.")
         R = pose[:3, :3]
         if not np.allclose(R @ R.T, np.eye(3), atol=_ROTATION_TOLERANCE) or np.linalg.det(R) < 0:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib import colormaps, rc_context
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from bench.errors import BenchError
+from bench.figures.depth_colors import colored, depth_scale
 from bench.io.atomic import atomic_path
 from bench.types import Image, Map
 
@@ -21,7 +21,6 @@ FORMS = (".png", ".pdf")
 _DPI = 300
 _GAP_IN, _NAME_IN, _HEADING_IN, _BAR_IN, _BAR_BELOW_IN = 0.03, 0.16, 0.15, 0.08, 0.3
 _FONT_PT, _LETTER_EM = 7.0, 0.62
-_UNKNOWN = (0.85, 0.85, 0.85, 1.0)
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def grid_figure(grid: Grid, width_in: float) -> Figure:
     height_in = _HEADING_IN + len(grid.cells) * (row_in + _GAP_IN) + below_in
     figure = Figure(figsize=(width_in, height_in), dpi=_DPI)
     FigureCanvasAgg(figure)
-    depths = ScalarMappable(Normalize(0.0, grid.max_depth_m), colormaps["turbo_r"].with_extremes(bad=_UNKNOWN))
+    depths = depth_scale(grid.max_depth_m)
     name_pt = _size_of(grid.names, row_in)
     for row, (name, cells) in enumerate(zip(grid.names, grid.cells, strict=True)):
         bottom = height_in - _HEADING_IN - (row + 1) * (row_in + _GAP_IN) + _GAP_IN
@@ -117,7 +116,7 @@ def _draw(figure: Figure, cell: Cell, box_in: tuple[float, float, float, float],
     axes.set_axis_off()
     if cell.picture is not None:
         is_depth = cell.picture.ndim == 2
-        axes.imshow(depths.to_rgba(np.ma.masked_invalid(cell.picture)) if is_depth else cell.picture, aspect="auto")
+        axes.imshow(colored(cell.picture.astype(np.float32), depths) if is_depth else cell.picture, aspect="auto")
     if cell.note:
         axes.text(
             *(0.01, 0.96, cell.note),

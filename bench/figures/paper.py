@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-import cv2
 import numpy as np
 
 from bench.errors import BenchError
 from bench.figures.chosen import Method, Shown, is_held_out
+from bench.figures.depth_colors import known_depth, limit_of
 from bench.figures.grid import Cell, Grid
 from bench.types import Map
 
 What = Literal["color", "depth"]
 WHATS: tuple[What, ...] = ("color", "depth")
 TRUTH = "Ground truth"
-_FARTHEST_SHARE = 0.95
-_RETURN_PX = 1 / 400
-"""A LiDAR return is drawn as wide as this share of the image: single pixels would be lost in print."""
 
 
 def comparison(methods: Sequence[Method], shown: Sequence[Shown], whats: Sequence[What], max_depth_m: float) -> Grid:
@@ -66,36 +63,16 @@ def _truth(method: Method, shown: Shown, what: What) -> Cell:
     return Cell(depth, "no depth known" if depth is None else "")
 
 
-def _known_depth(method: Method, number: int) -> Map | None:
-    """(H, W) metres of the left image: exact, else by a depth camera, else by LiDAR, its returns widened."""
-    dataset, position = method.run.dataset, method.run.position_of(number)
-    depth = dataset.true_depth(position)
-    if depth is None:
-        depth = dataset.sensor_depth(position)
-    if depth is None:
-        lidar = dataset.lidar_depth(position)
-        depth = None if lidar is None else _widened(lidar)
-    return depth
-
-
-def _widened(lidar: Map) -> Map:
-    """Returns as squares, the nearest one in front."""
-    side = max(1, round(lidar.shape[1] * _RETURN_PX)) | 1
-    nearness = np.nan_to_num(1 / lidar, nan=0.0).astype(np.float32)
-    with np.errstate(divide="ignore"):
-        depth = 1 / cv2.dilate(nearness, np.ones((side, side), np.uint8))
-    return np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
-
-
 def _limit(method: Method, shown: Sequence[Shown], rows: Sequence[Sequence[Cell]], max_depth_m: float) -> float | None:
     """Metres at which the colours of depth end; None where no depth is known."""
-    rendered = [cell.picture for row in rows for cell in row if cell.picture is not None and cell.picture.ndim == 2]
-    truth = [depth for each in shown if (depth := _known_depth(method, each.number)) is not None]
-    for depths in (truth, rendered):
-        known = np.concatenate([depth[np.isfinite(depth)] for depth in depths] or [np.zeros(0, np.float32)])
-        if len(known):
-            return float(np.quantile(known, _FARTHEST_SHARE)) if np.isnan(max_depth_m) else max_depth_m
-    return None
+    pictures = [cell.picture for row in rows for cell in row if cell.picture is not None]
+    rendered = [picture.astype(np.float32) for picture in pictures if picture.ndim == 2]
+    limit = limit_of([_known_depth(method, each.number) for each in shown], rendered)
+    return limit if limit is None or np.isnan(max_depth_m) else max_depth_m
+
+
+def _known_depth(method: Method, number: int) -> Map | None:
+    return known_depth(method.run.dataset, method.run.position_of(number))
 
 
 def _heading(methods: Sequence[Method], shown: Shown, what: What) -> str:
