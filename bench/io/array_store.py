@@ -13,6 +13,7 @@ import mmap
 import os
 import re
 import struct
+import weakref
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -48,6 +49,7 @@ class ArrayStore:
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
         self._verified: set[str] = set()
+        self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 
     def put(self, name: str, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         """Write a set of arrays of numbers or bools, of any shapes; when this returns it is on disk.
@@ -84,7 +86,7 @@ class ArrayStore:
         path = self._path(name)
         try:
             with open_plain(path, math.inf) as file:
-                arrays = _mapped(file)
+                content, arrays = _mapped(file)
                 if name not in self._verified:
                     _verify(file)
         except FileNotFoundError as error:
@@ -94,7 +96,14 @@ class ArrayStore:
             why = first_line(error)
             raise DamagedError(f"{path} is damaged: {why}. Start the run anew, or put a whole copy there.") from error
         self._verified.add(name)
+        self._maps.add(content)
         return arrays
+
+    def release(self) -> None:
+        """What is mapped no longer counts as this process's memory until it is read again; the maps stay valid."""
+        if hasattr(mmap, "MADV_DONTNEED"):
+            for content in self._maps:
+                content.madvise(mmap.MADV_DONTNEED)
 
     def names(self) -> list[str]:
         """Names of all sets, sorted."""
@@ -174,7 +183,7 @@ def _verify(file: BinaryIO) -> None:
         raise ValueError("its checksum is wrong")
 
 
-def _mapped(file: BinaryIO) -> dict[str, npt.NDArray[Any]]:
+def _mapped(file: BinaryIO) -> tuple[mmap.mmap, dict[str, npt.NDArray[Any]]]:
     file.seek(0)
     if file.readline(len(_FORMAT)) != _FORMAT:
         raise ValueError("it is no file of arrays of this version")
@@ -189,7 +198,7 @@ def _mapped(file: BinaryIO) -> dict[str, npt.NDArray[Any]]:
         if dtype.kind not in _NUMBERS:
             raise ValueError(f"its array {each['key']} is of type {dtype}")
         arrays[each["key"]] = np.frombuffer(content, dtype, math.prod(shape), first + each["start"]).reshape(shape)
-    return arrays
+    return content, arrays
 
 
 def _flush_folder(folder: Path) -> None:

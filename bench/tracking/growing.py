@@ -78,6 +78,11 @@ class Archive:
         assert self._store is not None, "use_store() comes before restore()"
         return self._store.get(name)
 
+    def release(self) -> None:
+        """What lies in the store no longer counts as memory until it is read again."""
+        if self._store is not None:
+            self._store.release()
+
     def __contains__(self, name: str) -> bool:
         return name in self._kept or name in self._stored
 

@@ -154,3 +154,23 @@ def test_threads_write_and_read_at_once(tmp_path: Path) -> None:
         thread.join()
     assert len(store.names()) == 15
     assert not any(wrong)
+
+
+@pytest.mark.skipif(not Path("/proc/self/smaps").is_file(), reason="this system does not tell what is resident")
+def test_what_is_released_is_no_longer_resident_and_can_be_read_again(tmp_path: Path) -> None:
+    store = ArrayStore(tmp_path)
+    values = np.random.default_rng(0).integers(0, 255, 1 << 22, dtype=np.uint8)
+    store.put("large", {"values": values})
+    mapped = store.get("large")["values"]
+    total = int(mapped.sum(dtype=np.int64))
+    assert _resident_kib(tmp_path) >= 4096
+    store.release()
+    assert _resident_kib(tmp_path) == 0
+    assert int(mapped.sum(dtype=np.int64)) == total == int(values.sum(dtype=np.int64))
+
+
+def _resident_kib(folder: Path) -> int:
+    """What is resident of the files of a folder that this process maps, by Linux."""
+    lines = Path("/proc/self/smaps").read_text().splitlines()
+    starts = [k for k, line in enumerate(lines) if str(folder) in line]
+    return sum(int(next(line for line in lines[k:] if line.startswith("Rss:")).split()[1]) for k in starts)

@@ -118,7 +118,9 @@ class LoopCloser:
         if similarities is None or not self._closing:
             return None
         self._follow(similarities)
-        return self._close(poses)
+        closure = self._close(poses)
+        self._archive.release()
+        return closure
 
     def state(self) -> dict[str, Any]:
         """All that is needed to go on, for a checkpoint, with what is in the archive."""
