@@ -18,7 +18,7 @@ _DISTRIBUTION = "bgs-slam-bench"
 _NOBODY_READS = 141  # 128 + SIGPIPE, as other programs end then
 _COMMANDS = (
     *("run", "list", "table", "reproduce", "evaluate", "score", "map", "compare", "report", "figure", "video"),
-    *("stereo-eval", "vocabulary", "weights", "cache", "new-plugin", "check-plugin", "doctor"),
+    *("stereo-eval", "vocabulary", "data", "weights", "cache", "new-plugin", "check-plugin", "doctor"),
 )
 """Each is a module in ``bench.commands``, in the order of ``--help``."""
 

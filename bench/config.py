@@ -23,6 +23,7 @@ from yaml import YAMLError  # type: ignore[import-untyped]  # comes with omegaco
 
 from bench import registry
 from bench.cache.settings import CacheConfig
+from bench.data.places import folder_of
 from bench.discovery import load_plugins
 from bench.errors import BenchError, did_you_mean, first_line, require_choice
 from bench.hydra_settings import EXPERIMENT, SEARCH_PATH, config_folders, configs_in, require_known
@@ -371,8 +372,11 @@ def _unknown_setting(base: DictConfig, key: str) -> str:
 
 
 def _make_paths_absolute(kind: str, mapping: dict[str, Any]) -> None:
-    """Settings marked with ``field(metadata={"path": True})`` are read relative to the current folder, once."""
+    """Settings marked with ``field(metadata={"path": True})`` are read relative to the current folder, once; an empty
+    one that ``"data"`` marks as the root of a data set becomes the folder into which that is fetched."""
     for setting in dataclasses.fields(registry.lookup(kind, mapping["name"]).config):
         value = mapping.get(setting.name)
+        if value == "" and "data" in setting.metadata:
+            mapping[setting.name] = str(folder_of(setting.metadata["data"]))
         if setting.metadata.get("path") and value:
             mapping[setting.name] = str(Path(value).expanduser().absolute())

@@ -12,6 +12,8 @@ import pytest
 
 # As the command line does, and before torch is imported: OpenMP threads that wait must not take the cores from others.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+# No test reads what this machine's user has downloaded.
+os.environ["BGS_DATA"] = str(Path(__file__).parent / "no_data_here")
 
 import torch
 from hydra.core.config_store import ConfigStore

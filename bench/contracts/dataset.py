@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from bench.errors import BenchError
 from bench.geometry.principal_point import doubt_about_size
 from bench.types import Map, Mask, StereoCamera, StereoFrame, Trajectory
+
+
+@dataclass(frozen=True)
+class SequenceOnDisk:
+    """A sequence that lies in a folder: the settings that choose it beside ``root``, and the folders of its files."""
+
+    settings: Mapping[str, str]
+    folders: tuple[Path, ...]
 
 
 class Dataset(ABC):
@@ -45,6 +56,16 @@ class Dataset(ABC):
         """Raise ``BenchError`` that names ``part`` and what to choose instead, where frames have no right image."""
         if not self.has_right:
             raise BenchError(f"{part} needs right images, and {self.label} has none. Choose {instead}.")
+
+    @classmethod
+    def sequences_in(cls, root: Path) -> Iterable[SequenceOnDisk]:
+        """The sequences in a ``root`` of this data set's layout, whole or not, for ``bgs-bench data check``; none where
+        it is of another layout."""
+        return ()
+
+    def lacks(self) -> tuple[str, ...]:
+        """What the sequence lacks of what its publishers give, for ``bgs-bench data check``."""
+        return ()
 
     @abstractmethod
     def frame(self, position: int) -> StereoFrame:

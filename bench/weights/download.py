@@ -10,7 +10,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import IO, NoReturn
 
 from bench.errors import BenchError
 from bench.io.file_lock import exclusive
@@ -35,10 +35,14 @@ def download(
     tries: int = 5,
     timeout_s: float = 30.0,
     pause_s: float = 1.0,
+    *,
+    size: int | None = None,
+    setting: str = "$BGS_CACHE",
 ) -> None:
     """Fetch ``url`` to ``target``, whole and verified, or not at all; what came of it stays beside for the next try.
 
-    ``sha256`` holds the digits, or the leading ones, that are known. A connection that is cut is made again up to
+    ``sha256`` holds the digits, or the leading ones, that are known, ``size`` the bytes of the file where those are;
+    ``setting`` is where a user says that the file should go elsewhere. A connection that is cut is made again up to
     ``tries`` times without a new byte, ``pause_s`` times their number apart, and resumes by an HTTP range. Two
     processes do not fetch the same file at once. Raises ``BenchError``: no connection, refused, no space, another file.
     """
@@ -47,8 +51,10 @@ def download(
         with exclusive(target.with_name(f".{target.name}.lock")):
             if target.is_file():
                 return
-            part = _Part(target, resumable=bool(sha256))
+            part = _Part(target, resumable=bool(sha256), size=size, setting=setting)
             _fetch_with_retries(url, part, report, tries, timeout_s, pause_s)
+            if size is not None and part.size != size:
+                part.raise_other_size(url, part.size)
             got = sha256_of(part.path)
             if not got.startswith(sha256):
                 part.remove()
@@ -60,17 +66,18 @@ def download(
             part.remove()
     except OSError as error:
         raise BenchError(
-            f"Can't write {target}: {error.strerror or error}. Check the folder and the free space, or set $BGS_CACHE."
+            f"Can't write {target}: {error.strerror or error}. Check the folder and the free space, or set {setting}."
         ) from error
 
 
 class _Part:
     """The file as far as it has come, and what the server calls the version that it belongs to."""
 
-    def __init__(self, target: Path, resumable: bool) -> None:
+    def __init__(self, target: Path, resumable: bool, size: int | None, setting: str) -> None:
         self.path = target.with_name(f".{target.name}.part")
         self._validator = target.with_name(f".{target.name}.version")
         self._resumable = resumable
+        self.wanted, self.setting = size, setting
 
     @property
     def size(self) -> int:
@@ -88,6 +95,13 @@ class _Part:
         # A weak tag does not promise equal bytes (RFC 9110, 13.1.5).
         version = tag if tag and not tag.startswith("W/") else answer.headers.get("Last-Modified", "")
         self._validator.write_text(version)
+
+    def raise_other_size(self, url: str, size: int) -> NoReturn:
+        self.remove()
+        raise BenchError(
+            f"{url} is a file of {size} bytes, and the published one has {self.wanted}; it was removed. Look at the "
+            "page for a changed file."
+        )
 
     def remove(self) -> None:
         self.path.unlink(missing_ok=True)
@@ -148,11 +162,13 @@ def _receive(answer: http.client.HTTPResponse, part: _Part, report: Report | Non
         raise _CutError("the server sent another range than asked for")
     length = answer.headers.get("Content-Length")
     total = start + int(length) if length else None
+    if part.wanted is not None and total is not None and total != part.wanted:
+        part.raise_other_size(answer.url, total)
     free = shutil.disk_usage(part.path.parent).free
     if total is not None and total - start > free:
         raise BenchError(
             f"{answer.url} needs {(total - start) / 1e9:.2f} GB, and {part.path.parent} has {free / 1e9:.2f} GB free. "
-            "Make room, or set $BGS_CACHE to a folder that has it."
+            f"Make room, or set {part.setting} to a folder that has it."
         )
     if not start:
         part.remember_version(answer)

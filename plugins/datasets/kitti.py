@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from bench.contracts.dataset import Dataset
+from bench.contracts.dataset import Dataset, SequenceOnDisk
+from bench.data.places import existing_root
 from bench.errors import BenchError, require_between, require_choice
 from bench.io.frame_range import select_frames
 from bench.io.kitti360_files import read_image_times
@@ -22,14 +24,20 @@ from bench.types import Float, Map, StereoFrame, Trajectory
 _PAIRS = {"gray": (0, 1), "color": (2, 3)}
 # Recording rate that stands in for a missing times.txt.
 _RATE_HZ = 10.0
+_PUBLISHED_FRAMES = {
+    **{"00": 4541, "01": 1101, "02": 4661, "03": 801, "04": 271, "05": 2761, "06": 1101, "07": 1101, "08": 4071},
+    **{"09": 1591, "10": 1201, "11": 921, "12": 1061, "13": 3281, "14": 631, "15": 1901, "16": 1731, "17": 491},
+    **{"18": 1801, "19": 4981, "20": 831, "21": 2721},
+}
+_LAST_WITH_POSES = "10"
 
 
 @dataclass(frozen=True)
 class KittiConfig(PluginConfig):
     """Which part of KITTI odometry, and by which pair of cameras."""
 
-    root: str = field(default="", metadata={"path": True})
-    """Folder that holds ``sequences/`` and ``poses/``, or a day of KITTI raw; must be given."""
+    root: str = field(default="", metadata={"path": True, "data": "kitti"})
+    """Folder that holds ``sequences/`` and ``poses/``, or a day of KITTI raw; empty: kitti_odometry in $BGS_DATA."""
     sequence: str = "06"
     """Number of the sequence, 00 to 21, or the folder of a drive of KITTI raw."""
     frames: str = ""
@@ -71,6 +79,33 @@ class Kitti(Dataset):
         self._poses = self._read_poses(root / "poses" / f"{sequence}.txt")
         self.camera = calibration.stereo_camera(left, right, self._images.size).scaled(config.scale)
         self.remarks = (*self._images.remarks, *self._about_poses())
+
+    @classmethod
+    def sequences_in(cls, root: Path) -> Iterator[SequenceOnDisk]:
+        """Each pair of cameras that lies in ``sequences/NN``, or in a drive of KITTI raw."""
+        parent = root / "sequences" if (root / "sequences").is_dir() else root
+        for folder in sorted(entry for entry in parent.iterdir() if entry.is_dir()):
+            for pair, cameras in _PAIRS.items():
+                images = [folder / f"image_{zero}{camera}" for camera in cameras for zero in ("", "0")]
+                if there := tuple(each for each in images if each.is_dir()):
+                    settings = {"sequence": folder.name, "camera": pair}
+                    yield SequenceOnDisk(settings, (*there, folder / "velodyne"))
+
+    def lacks(self) -> tuple[str, ...]:
+        """Frames of KITTI odometry, LiDAR and ground truth that are not here."""
+        sequence = self.label.rpartition("/")[2]
+        published, here = _PUBLISHED_FRAMES.get(sequence), len(self)
+        found = []
+        if published is not None and here != published:
+            found.append(f"{here} of the {published} published frames are here")
+        without = sum(number not in self._scans for number in self.numbers)
+        if without:
+            found.append("no LiDAR" if without == here else f"{without} frames have no LiDAR")
+        if self._poses is None and (published is None or sequence <= _LAST_WITH_POSES):
+            found.append("no ground truth")
+        if self._lines["times"] == 0:
+            found.append(f"no times.txt: {_RATE_HZ:g} Hz stand in, or the images' timestamps.txt")
+        return tuple(found)
 
     def frame(self, position: int) -> StereoFrame:
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
@@ -141,13 +176,7 @@ class Kitti(Dataset):
 
 
 def _existing_root(text: str) -> Path:
-    if not text:
-        raise BenchError("dataset.root is not set. Give the folder that holds KITTI's sequences/, dataset.root=FOLDER.")
-    root = Path(text).expanduser()
-    if not root.is_dir():
-        raise BenchError(
-            f"dataset.root={text}: this folder does not exist. Give the one that holds KITTI's sequences/."
-        )
+    root = existing_root(text, "kitti", "KITTI's sequences/")
     if not (root / "sequences").is_dir() and not any(root.glob("*/image_0[0-3]")):
         raise BenchError(
             f"dataset.root={text} holds no folder 'sequences', nor drives of KITTI raw. Give the root of KITTI's "

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from bench.contracts.dataset import Dataset
+from bench.contracts.dataset import Dataset, SequenceOnDisk
+from bench.data.places import existing_root
 from bench.errors import BenchError, require_choice
 from bench.io.frame_range import describe, parse_frame_range
 from bench.io.images import bits_in_use, image_size, read_16_bit, read_rgb
@@ -29,8 +31,8 @@ _TYPICAL_BASELINE_M = 0.5327
 class Kitti2015Config(PluginConfig):
     """Which pairs of KITTI Stereo 2015, and which of their true disparities."""
 
-    root: str = field(default="", metadata={"path": True})
-    """Folder that holds ``image_2/`` and ``image_3/``, or ``training/`` with them; must be given."""
+    root: str = field(default="", metadata={"path": True, "data": "kitti2015"})
+    """Folder that holds ``image_2/`` and ``image_3/``, or ``training/`` with them; empty: kitti2015 in $BGS_DATA."""
     frames: str = ""
     """Pair numbers ``a:b`` or ``a:b:step``; empty: all that are there."""
     disparity: str = "occ"
@@ -65,6 +67,14 @@ class Kitti2015(Dataset):
                 raise BenchError(
                     f"{self._file(self._disparity, number)} is missing. Restore it, or move {folder} away."
                 )
+
+    @classmethod
+    def sequences_in(cls, root: Path) -> Iterator[SequenceOnDisk]:
+        """The pairs, all in one, where their disparities lie beside them."""
+        for folder in (root, root / "training"):
+            if (folder / "image_2").is_dir() and (folder / _DISPARITIES["occ"]).is_dir():
+                names = ("image_2", "image_3", *_DISPARITIES.values())
+                yield SequenceOnDisk({}, tuple(folder / name for name in names))
 
     def camera_of(self, position: int) -> StereoCamera:
         """The camera of one pair."""
@@ -104,11 +114,7 @@ class Kitti2015(Dataset):
 
 
 def _folder_with_images(text: str) -> Path:
-    if not text:
-        raise BenchError(
-            "dataset.root is not set. Give the folder that holds KITTI 2015's image_2/, dataset.root=FOLDER."
-        )
-    root = Path(text).expanduser()
+    root = existing_root(text, "kitti2015", "KITTI 2015's image_2/")
     for folder in (root, root / "training"):
         if (folder / "image_2").is_dir():
             if not (folder / "image_3").is_dir():

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from bench.contracts.dataset import Dataset
+from bench.contracts.dataset import Dataset, SequenceOnDisk
+from bench.data.places import existing_root
 from bench.errors import BenchError, require_between
 from bench.geometry import se3
 from bench.geometry.lidar import project_to_depth
@@ -34,9 +36,9 @@ _WITHHELD = "0008"
 class Kitti360Config(PluginConfig):
     """Which part of KITTI-360, and what of it counts."""
 
-    root: str = field(default="", metadata={"path": True})
+    root: str = field(default="", metadata={"path": True, "data": "kitti360"})
     """Folder that holds ``data_2d_raw/``, ``calibration/`` and, where downloaded, ``data_poses/`` and ``data_3d_raw/``;
-    must be given."""
+    empty: kitti360 in $BGS_DATA."""
     sequence: str = "0007"
     """Number of the drive."""
     frames: str = ""
@@ -84,6 +86,21 @@ class Kitti360(Dataset):
         self._scans = root / "data_3d_raw" / drive / "velodyne_points" / "data"
         self._uncurl = config.uncurl
         self._T_left_velodyne = self._check_scans(calibration)
+
+    @classmethod
+    def sequences_in(cls, root: Path) -> Iterator[SequenceOnDisk]:
+        """Each drive of ``data_2d_raw/``."""
+        for folder in sorted((root / "data_2d_raw").glob("2013_05_28_drive_*_sync")):
+            scans = root / "data_3d_raw" / folder.name / "velodyne_points" / "data"
+            yield SequenceOnDisk({"sequence": folder.name[17:21]}, (*(folder / side for side in _SIDES), scans))
+
+    def lacks(self) -> tuple[str, ...]:
+        """Poses and LiDAR that are not here."""
+        without = sum(not self._scan(number).is_file() for number in self.numbers)
+        found = [] if self._poses is not None else ["no ground truth (data_poses)"]
+        if without:
+            found.append("no LiDAR" if without == len(self) else f"{without} frames have no LiDAR")
+        return tuple(found)
 
     def frame(self, position: int) -> StereoFrame:
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
@@ -175,14 +192,10 @@ def _sequence_number(text: str) -> str:
 
 
 def _existing_root(text: str) -> Path:
-    what = "the folder that holds KITTI-360's data_2d_raw/ and calibration/"
-    if not text:
-        raise BenchError(f"dataset.root is not set. Give {what}, dataset.root=FOLDER.")
-    root = Path(text).expanduser()
-    if not root.is_dir():
-        raise BenchError(f"dataset.root={text}: this folder does not exist. Give {what}.")
+    what = "KITTI-360's data_2d_raw/ and calibration/"
+    root = existing_root(text, "kitti360", what)
     if not (root / "data_2d_raw").is_dir():
-        raise BenchError(f"dataset.root={text} holds no folder 'data_2d_raw'. Give {what}.")
+        raise BenchError(f"dataset.root={text} holds no folder 'data_2d_raw'. Give the folder that holds {what}.")
     return root
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from bench.contracts.dataset import Dataset
+from bench.contracts.dataset import Dataset, SequenceOnDisk
+from bench.data.places import existing_root
 from bench.errors import BenchError, require_between, require_choice
 from bench.geometry import se3
 from bench.io.frame_range import select_frames
@@ -42,8 +44,8 @@ _WITHHELD = "2011_09_26_drive_0067"
 class KittiRawConfig(PluginConfig):
     """Which part of KITTI raw, and by which pair of cameras."""
 
-    root: str = field(default="", metadata={"path": True})
-    """Folder that holds the days, ``2011_09_30/`` and so on, or one of these; must be given."""
+    root: str = field(default="", metadata={"path": True, "data": "kitti_raw"})
+    """Folder that holds the days, ``2011_09_30/`` and so on, or one of these; empty: kitti_raw in $BGS_DATA."""
     sequence: str = "06"
     """Number of a sequence of KITTI odometry, 00 to 10, or the name of a drive, such as 2011_09_26_drive_0005."""
     frames: str = ""
@@ -90,6 +92,22 @@ class KittiRaw(Dataset):
         self._T_imu_velodyne = np.eye(4) if self._poses is None else se3.inverse(calibration.T_velodyne_imu())
         self.remarks = (*self._images.remarks, *self._about_gaps())
 
+    @classmethod
+    def sequences_in(cls, root: Path) -> Iterator[SequenceOnDisk]:
+        """Each pair of cameras of each drive."""
+        for folder in sorted((*root.glob("*_drive_*_sync"), *root.glob("*/*_drive_*_sync"))):
+            scans = folder / "velodyne_points" / "data"
+            for pair, cameras in _PAIRS.items():
+                images = tuple(folder / f"image_0{camera}" / "data" for camera in cameras)
+                if any(each.is_dir() for each in images):
+                    settings = {"sequence": folder.name.removesuffix("_sync"), "camera": pair}
+                    yield SequenceOnDisk(settings, (*images, scans))
+
+    def lacks(self) -> tuple[str, ...]:
+        """LiDAR and ground truth, where there is none at all; ``remarks`` tells of gaps."""
+        no_scans = not any(number in self._scans for number in self._stored)
+        return (*(["no LiDAR"] if no_scans else []), *(["no ground truth (oxts)"] if self._poses is None else []))
+
     def frame(self, position: int) -> StereoFrame:
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
         stored = self._images.frame(self._stored[position], float(self._times[position]), self.camera)
@@ -125,7 +143,7 @@ class KittiRaw(Dataset):
         without = sum(number not in self._scans for number in self._stored)
         remarks = [f"{without} of {len(self)} frames have no LiDAR scan"] if 0 < without < len(self) else []
         known = 0 if self._poses is None else int(self._poses.has(self._stored).sum())
-        if known < len(self):
+        if self._poses is not None and known < len(self):
             remarks.append(f"{len(self) - known} of {len(self)} frames have no ground truth (no packet in oxts)")
         return remarks
 
@@ -147,9 +165,7 @@ def _part(text: str) -> tuple[str, str, int, int | None]:
 
 
 def _existing_drive(text: str, drive: str) -> Path:
-    if not text:
-        raise BenchError("dataset.root is not set. Give the folder that holds 2011_09_30/, dataset.root=FOLDER.")
-    root, date = Path(text).expanduser(), drive[:10]
+    root, date = existing_root(text, "kitti_raw", "2011_09_30/"), drive[:10]
     day = root if root.name == date else root / date
     folder = day / f"{drive}_sync"
     if folder.is_dir():
@@ -163,6 +179,6 @@ def _existing_drive(text: str, drive: str) -> Path:
         raise BenchError(f"{day / f'{drive}_extract'} holds unrectified images. Download {drive}_sync.zip instead.")
     there = sorted(entry.name for entry in (*root.glob("*_sync"), *root.glob("*/*_sync")))
     raise BenchError(
-        f"{folder} does not exist; dataset.root={text} holds {', '.join(there[:8]) or 'no drive'}. Choose one, or "
+        f"{folder} does not exist; dataset.root={root} holds {', '.join(there[:8]) or 'no drive'}. Choose one, or "
         f"download {drive}_sync.zip and {date}_calib.zip."
     )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from bench.contracts.dataset import Dataset
+from bench.contracts.dataset import Dataset, SequenceOnDisk
+from bench.data.places import existing_root
 from bench.errors import BenchError, require_between, require_least
 from bench.io.frame_range import select_frames
 from bench.io.images import IMAGE_SUFFIXES
@@ -25,8 +27,8 @@ _RATE_HZ = 30.0
 class ReplicaConfig(PluginConfig):
     """Which room; the camera's numbers where it is rendered otherwise."""
 
-    root: str = field(default="", metadata={"path": True})
-    """Folder of the rooms; must be given."""
+    root: str = field(default="", metadata={"path": True, "data": "replica"})
+    """Folder of the rooms; empty: replica in $BGS_DATA."""
     sequence: str = "office0"
     """Folder of the room: office0 to office4, room0 to room2."""
     frames: str = ""
@@ -74,6 +76,16 @@ class Replica(Dataset):
         self.camera, self.remarks = self._images.camera, self._images.remarks
         self._poses = _read_poses(folder / "traj.txt", self.numbers)
 
+    @classmethod
+    def sequences_in(cls, root: Path) -> Iterator[SequenceOnDisk]:
+        """Each room."""
+        for results in sorted(root.glob("*/results")):
+            yield SequenceOnDisk({"sequence": results.parent.name}, (results,))
+
+    def lacks(self) -> tuple[str, ...]:
+        """The ground truth, where it is not here."""
+        return () if self._poses is not None else ("no ground truth (traj.txt)",)
+
     def frame(self, position: int) -> StereoFrame:
         """Decode one colour image; raises ``BenchError`` if it turns out to be damaged."""
         number = self.numbers[position]
@@ -92,14 +104,12 @@ class Replica(Dataset):
 
 
 def _existing(config: ReplicaConfig) -> Path:
-    if not config.root:
-        raise BenchError("dataset.root is not set. Give the folder that holds Replica's rooms, dataset.root=FOLDER.")
-    root = Path(config.root).expanduser()
+    root = existing_root(config.root, "replica", "Replica's rooms")
     folder = root / config.sequence
     if not (folder / "results").is_dir():
-        there = sorted(entry.parent.name for entry in root.glob("*/results")) if root.is_dir() else []
+        there = sorted(entry.parent.name for entry in root.glob("*/results"))
         raise BenchError(
-            f"{folder} holds no folder 'results'; in dataset.root={config.root} there are these rooms: "
+            f"{folder} holds no folder 'results'; in dataset.root={root} there are these rooms: "
             f"{', '.join(there) or 'none'}. Choose one of them by dataset.sequence, or download it."
         )
     return folder

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from bench.contracts.dataset import Dataset
+from bench.contracts.dataset import Dataset, SequenceOnDisk
+from bench.data.places import existing_root
 from bench.errors import BenchError, require_between, require_least
 from bench.io.frame_poses import poses_at_times
 from bench.io.frame_range import select_frames
@@ -34,8 +36,8 @@ _FURTHEST_S = 0.02
 class TumRgbdConfig(PluginConfig):
     """Which sequence; the camera's numbers where it is none of TUM's."""
 
-    root: str = field(default="", metadata={"path": True})
-    """Folder of the sequences, or of the only one; must be given."""
+    root: str = field(default="", metadata={"path": True, "data": "tum_rgbd"})
+    """Folder of the sequences, or of the only one; empty: tum_rgbd in $BGS_DATA."""
     sequence: str = ""
     """Folder of the sequence in ``root``, such as rgbd_dataset_freiburg1_desk; empty: ``root`` itself."""
     frames: str = ""
@@ -97,6 +99,18 @@ class TumRgbd(Dataset):
         left_out = f"{alone} of {len(color.times)} colour images have no depth image within {_FURTHEST_S} s: left out"
         self.remarks = (*self._images.remarks, *([left_out] if alone else []), *self._about_poses())
 
+    @classmethod
+    def sequences_in(cls, root: Path) -> Iterator[SequenceOnDisk]:
+        """Each folder with a ``rgb.txt``, ``root`` itself included."""
+        for folder in (root, *sorted(entry for entry in root.iterdir() if entry.is_dir())):
+            if (folder / "rgb.txt").is_file():
+                sequence = "" if folder == root else folder.name
+                yield SequenceOnDisk({"sequence": sequence}, (folder / "rgb", folder / "depth"))
+
+    def lacks(self) -> tuple[str, ...]:
+        """The ground truth, where it is not here."""
+        return () if self._poses is not None else ("no ground truth (groundtruth.txt)",)
+
     def frame(self, position: int) -> StereoFrame:
         """Decode one colour image; raises ``BenchError`` if it turns out to be damaged."""
         return StereoFrame(self.numbers[position], float(self._times[position]), self._images.color(position))
@@ -144,9 +158,7 @@ def associate(times: Float, others: Float) -> tuple[npt.NDArray[np.intp], npt.ND
 
 
 def _existing(config: TumRgbdConfig) -> Path:
-    if not config.root:
-        raise BenchError("dataset.root is not set. Give the folder that holds the sequences, dataset.root=FOLDER.")
-    folder = Path(config.root).expanduser() / config.sequence
+    folder = existing_root(config.root, "tum_rgbd", "the sequences") / config.sequence
     if not folder.is_dir():
         raise BenchError(f"{folder} does not exist. Check dataset.root and dataset.sequence.")
     if not (folder / "rgb.txt").is_file():

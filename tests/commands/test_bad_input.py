@@ -31,7 +31,11 @@ def last_line_off(path: Path) -> None:
 
 BAD_KITTI: dict[str, tuple[Damage, list[str], str]] = {
     "missing root": (lambda r, f: None, ["dataset.root=/not/there"], r"/not/there.* does not exist"),
-    "root not given": (lambda r, f: None, ["dataset.root=''"], r"dataset\.root is not set"),
+    "root not given": (
+        lambda r, f: None,
+        ["dataset.root=''"],
+        r"/kitti_odometry: this folder does not .*data get kitti`",
+    ),
     "no such sequence": (
         lambda r, f: None,
         ["dataset.sequence=17"],

@@ -117,7 +117,7 @@ def test_wrong_input_is_known_before_anything_is_scored(
         ("stereo=sgbm", "tracker=groundtruth"): "tracker=groundtruth: stereo is scored without the rest of a system",
         ("stereo=sgbm", "stereo.num_disparites=96"): "Did you mean 'num_disparities'?",
         ("stereo=sgbm,lidar", "stereo.lidar.blocks=3"): "stereo.blocks=3: stereo has no setting 'blocks'",
-        ("stereo=sgbm", "dataset=kitti2015"): "dataset.root is not set",
+        ("stereo=sgbm", "dataset=kitti2015"): "kitti2015: this folder does not exist",
         ("stereo=sgbm", "--out", "table.pdf"): "--out table.pdf: the extension says the form",
         ("stereo=sgbm", "--per-image", "images.txt"): "--per-image images.txt: it is written as CSV",
         ("stereo=sgbm", "--warm-up", "-1"): "--warm-up -1 is negative",

@@ -210,7 +210,7 @@ def test_bad_roots_are_named_before_decoding(tmp_path: Path, case: str, monkeypa
 
 
 @pytest.mark.parametrize(
-    ("make", "message"), [("", "is not set"), ("gone", "does not exist"), ("empty", "no folder 'seq")]
+    ("make", "message"), [("", "data get kitti`"), ("gone", "does not exist"), ("empty", "no folder 'seq")]
 )
 def test_bad_root_folder(tmp_path: Path, make: str, message: str) -> None:
     (tmp_path / "empty").mkdir()

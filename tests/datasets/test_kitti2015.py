@@ -126,7 +126,7 @@ def test_damage_is_named(root: Path) -> None:
 
 
 def test_wrong_roots(root: Path, tmp_path: Path) -> None:
-    with pytest.raises(BenchError, match=r"dataset.root is not set"):
+    with pytest.raises(BenchError, match=r"no_data_here/kitti2015: this folder does not exist"):
         Kitti2015(Kitti2015Config())
     with pytest.raises(BenchError, match=r"holds no image_2, nor does a folder training in it"):
         Kitti2015(Kitti2015Config(root=str(root / "training" / "image_2")))

@@ -421,7 +421,7 @@ def test_bad_roots_are_named_before_decoding(tmp_path: Path, case: str, monkeypa
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("make", "message"), [("", "is not set"), ("gone", "does not exist")])
+@pytest.mark.parametrize(("make", "message"), [("", "data get kitti360`"), ("gone", "does not exist")])
 def test_bad_root_folder(tmp_path: Path, make: str, message: str) -> None:
     with pytest.raises(BenchError, match=message):
         Kitti360(Kitti360Config(root=str(tmp_path / make) if make else "", sequence="0002"))

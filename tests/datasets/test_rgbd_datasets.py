@@ -135,7 +135,7 @@ def _resized(name: str) -> Callable[[Path], None]:
         ("tum_rgbd", None, {"cy": 0.0}, r"Of dataset\.fx, fy, cx, cy only fx, fy, cx is set"),
         ("tum_rgbd", None, {"sequence": ""}, r"Choose dataset\.sequence=rgbd_dataset_handheld"),
         ("tum_rgbd", None, {"distortion": [0.1]}, r"dataset\.distortion=\[0\.1\] must be \[k1, k2, p1, p2, k3\]"),
-        ("tum_rgbd", None, {"root": ""}, r"dataset\.root is not set"),
+        ("tum_rgbd", None, {"root": ""}, r"/tum_rgbd: this folder does not exist.* `bgs-bench data get tum_rgbd`"),
         ("tum_rgbd", None, {"scale": 2.0}, r"dataset\.scale=2\.0 must lie between"),
         ("replica", _without("results/depth000001.png"), {}, r"depth000001\.png is missing"),
         ("replica", _with("traj.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n"), {}, r"found 12 values, expected 16 numbers"),
