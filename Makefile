@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 TESTING := $(VENV)/.installed-for-tests
 
-# Real data and real weights, when they lie beside the repository (see README, "Tests with real data").
+# Real data and real weights, when they lie beside the repository (see CONTRIBUTING.md).
 ifneq ($(wildcard ../shared/data),)
 export BGS_TEST_DATA ?= $(abspath ../shared/data)
 endif
@@ -13,7 +13,7 @@ ifneq ($(wildcard ../shared/weights),)
 export BGS_WEIGHTS ?= $(abspath ../shared/weights)
 endif
 
-.PHONY: install run test quick check fuzz bench sanitize gpu-check map-viewer browser-test clean
+.PHONY: install run test quick check fuzz bench sanitize gpu-check map-viewer browser-test docs clean
 
 install: $(STAMP)
 
@@ -43,6 +43,11 @@ check: $(TESTING)
 	$(BIN)/ruff format --check bench plugins tests tools
 	$(BIN)/mypy
 
+# The pages in build/docs; ends at the first warning, such as a link that leads nowhere.
+docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+
 # A thousand spoilt files of all kinds; `make test` tries a hundred.
 fuzz: $(TESTING)
 	BGS_FUZZ=1000 $(BIN)/python -m pytest tests/fuzzing
@@ -50,7 +55,7 @@ fuzz: $(TESTING)
 bench: $(TESTING)
 	OMP_WAIT_POLICY=passive $(BIN)/python -m pytest tests/performance -s
 
-# On a machine with an NVIDIA GPU, by .venv or else by PYTHON as it is: nothing is installed (see README, "On a GPU").
+# On a machine with an NVIDIA GPU, by .venv or else by PYTHON as it is: nothing is installed (see docs/performance.md).
 gpu-check:
 	$(or $(wildcard $(BIN)/python),$(PYTHON)) -m tools.gpu_check
 

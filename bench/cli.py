@@ -16,7 +16,7 @@ from bench.terminal import output_error, print_anywhere, tell
 
 _DISTRIBUTION = "bgs-slam-bench"
 _NOBODY_READS = 141  # 128 + SIGPIPE, as other programs end then
-_COMMANDS = (
+COMMANDS = (
     *("run", "list", "table", "reproduce", "evaluate", "score", "map", "compare", "report", "figure", "video"),
     *("stereo-eval", "vocabulary", "data", "weights", "cache", "new-plugin", "check-plugin", "doctor"),
 )
@@ -88,13 +88,19 @@ class _Parser(argparse.ArgumentParser):
             (file or sys.stderr).write(message)
 
 
-def _parsed(given: list[str]) -> argparse.Namespace:
+def parser_of(commands: Sequence[str]) -> argparse.ArgumentParser:
+    """The parser of ``bgs-bench`` with these sub-commands; each is imported for it."""
     parser = _Parser(prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors.")
     parser.add_argument("--version", action="version", version=f"bgs-bench {importlib.metadata.version(_DISTRIBUTION)}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    # All of them import torch and more, which takes seconds; the one that is meant may need little of that.
-    for command in given[:1] if given and given[0] in _COMMANDS else _COMMANDS:
+    for command in commands:
         importlib.import_module(f"bench.commands.{command.replace('-', '_')}").add_parser(subparsers)
+    return parser
+
+
+def _parsed(given: list[str]) -> argparse.Namespace:
+    # All of them import torch and more, which takes seconds; the one that is meant may need little of that.
+    parser = parser_of(given[:1] if given and given[0] in COMMANDS else COMMANDS)
     args, left = parser.parse_known_args(given)
     # argparse takes `run a=1 -m b=2` for two lists of overrides (places of runs, for tables) and fills the first only.
     whole = getattr(args, "overrides", getattr(args, "places", None))

@@ -27,7 +27,7 @@ from tests.street_made_once import remember_streets
 def _folder_from(variable: str) -> Path:
     value = os.environ.get(variable, "")
     if not value or not Path(value).is_dir():
-        pytest.skip(f"{variable} is not set to an existing folder; see README, 'Tests with real data'")
+        pytest.skip(f"{variable} is not set to an existing folder; see CONTRIBUTING.md")
     return Path(value).resolve()
 
 

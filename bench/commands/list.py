@@ -99,17 +99,17 @@ def _print_settings(settings: list[Setting]) -> None:
     """Name, type and default as they are typed, and the meaning below, wrapped to the terminal."""
     columns = min(shutil.get_terminal_size().columns, 120)
     for setting in settings:
-        print(f"{setting.name}={_typed(setting.default)}" + (f"  ({setting.type})" if setting.type else ""))
+        print(f"{setting.name}={typed(setting.default)}" + (f"  ({setting.type})" if setting.type else ""))
         meaning = setting.meaning.replace("``", "") or "(not documented)"
         print(textwrap.fill(meaning, columns, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False))
 
 
-def _typed(value: Any) -> str:
+def typed(value: Any) -> str:
     """A default as the command line takes it."""
     if value is dataclasses.MISSING:
         return "???"
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, list | tuple):
-        return f"[{','.join(_typed(each) for each in value)}]"
+        return f"[{','.join(typed(each) for each in value)}]"
     return str(value)

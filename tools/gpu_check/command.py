@@ -18,8 +18,8 @@ from tools.gpu_check.parts import PARTS, Outcome, run_in_process, run_parts
 FORMAT = 1
 _ABOUT = """Checks gsplat on this machine's GPU against the float64 reference and the C++ core, measures iterations of
 mapping and the whole system, and runs the tests marked cuda. Writes results/gpu/<device>.json, from which
-`python -m tools.readme_tables` makes the README's table. Exit code 0 where all was done, 1 where a part failed or did
-not fit, 2 where something is missing. Nothing is installed, and nothing comes from the network."""
+`python -m tools.doc_tables` makes the table in docs/performance.md. Exit code 0 where all was done, 1 where a part
+failed or did not fit, 2 where something is missing. Nothing is installed, and nothing comes from the network."""
 _WORK = Path("build/gpu_check")
 _INSTALL = "pip install '.[cuda]' (without a network: pip install --no-index --find-links FOLDER_OF_WHEELS '.[cuda]')"
 

@@ -1,4 +1,4 @@
-"""The tables of README.md: from which kept files, with which rows, columns and labels."""
+"""The tables of README.md and docs/: from which kept files, with which rows, columns and labels."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from bench.tables.named.published import read_published
 from bench.tables.named.table import make_table
 from bench.tables.records.file import SUFFIX
 from bench.tables.records.record import RunRecord
-from tools.readme_tables import performance
-from tools.readme_tables.blocks import Block
-from tools.readme_tables.columns import (
+from tools.doc_tables import performance
+from tools.doc_tables.blocks import Block
+from tools.doc_tables.columns import (
     FixedRow,
     RunColumn,
     Runs,
@@ -29,7 +29,7 @@ from tools.readme_tables.columns import (
     run_table,
     text_table,
 )
-from tools.readme_tables.gpu import gpu_table
+from tools.doc_tables.gpu import gpu_table
 
 _STAGES = "+".join(f"resources.{stage}_s_per_frame" for stage in ("tracking", "stereo", "mapping"))
 
@@ -55,6 +55,21 @@ _MEASURED = (
     RunColumn("wall", figures("{:.2f}", "resources.wall_s_per_frame")),
 )
 
+# Columns and rows of the short table.
+_SHORT = {
+    "SETTINGS": "",
+    "train dB / SSIM / LPIPS": "PSNR / SSIM / LPIPS of mapped views",
+    "held-out left dB / SSIM": "of views never seen",
+    "Depth-L1": "Depth-L1, cm",
+    "ATE": "ATE",
+    "memory": "memory",
+    "wall": "s per frame",
+}
+_SHORT_ROWS = (
+    *("`system=bgs_slam_fast`", "`system=bgs_slam`", "`system=bgs_slam_best`", "`system=bgs_slam_paper`"),
+    "*paper, BGS-SLAM, sequence 06*",
+)
+
 
 def _measured(kept: Path, folder: Path) -> str:
     """KITTI 06: a row for each of ``_SETTINGS``, then the paper's two."""
@@ -66,6 +81,16 @@ def _measured(kept: Path, folder: Path) -> str:
     rows: list[Runs | FixedRow] = [members[row] for row in _SETTINGS if members[row]]
     rows += [_of_the_paper("BGS-SLAM (Ours)", "BGS-SLAM"), _of_the_paper("BGS-SLAM (LiDAR)", "BGS-SLAM (LiDAR)")]
     return f"{run_table(columns, rows)}\n\n{made_by(runs, file, folder)}"
+
+
+def _measured_short(kept: Path, folder: Path) -> str:
+    """The rows of ``_measured`` for three presets and the paper, in figures that need no explanation."""
+    whole = _measured(kept, folder)
+    rows = [[cell.strip() for cell in line[1:-1].split("|")] for line in whole.splitlines() if line.startswith("|")]
+    head, _, *body = rows
+    shown = [head.index(name) for name in _SHORT]
+    body = [row for row in body if row[0] in _SHORT_ROWS]
+    return text_table([_SHORT[head[at]] for at in shown], [[row[at] for at in shown] for row in body])
 
 
 def _of_the_paper(method: str, label: str) -> FixedRow:
@@ -258,6 +283,7 @@ def _of_table(name: str) -> Callable[[Path, Path], str]:
 
 BLOCKS = {
     "kitti06": Block((f"kitti06{SUFFIX}",), _measured),
+    "kitti06_short": Block((f"kitti06{SUFFIX}",), _measured_short),
     "performance": Block((performance.FILE,), _performance),
     "gpu": Block((), gpu_table),
     "trackers": Block((f"trackers{SUFFIX}",), _trackers),

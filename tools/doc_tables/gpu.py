@@ -8,7 +8,7 @@ from typing import Any
 
 from bench.errors import BenchError
 from bench.runs.status import read_json
-from tools.readme_tables.columns import link, text_table
+from tools.doc_tables.columns import link, text_table
 
 FOLDER = "gpu"
 _HEADINGS = (

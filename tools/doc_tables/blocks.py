@@ -11,7 +11,7 @@ from bench.errors import BenchError, require_choice
 
 _START = re.compile(r"<!-- table: (\S+) -->")
 _END = "<!-- end -->"
-_MARKER = re.compile(r"<!-- (?:table: \S+|end) -->")
+MARKER = re.compile(r"<!-- (?:table: \S+|end) -->")
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def _find(file: Path, text: str) -> list[tuple[str, int, int]]:
     """Name of each block, and where what is between its markers starts and ends."""
     found = []
     name, start = "", 0
-    for marker in _MARKER.finditer(text):
+    for marker in MARKER.finditer(text):
         line = text.count("\n", 0, marker.start()) + 1
         is_end = marker[0] == _END
         if is_end != bool(name):

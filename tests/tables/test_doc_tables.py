@@ -1,4 +1,4 @@
-"""README.md's tables: made from kept records, numbers worked out by hand, and never stale."""
+"""The tables of README.md and docs/: made from kept records, numbers worked out by hand, and never stale."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ from bench.tables.named.table import make_table
 from bench.tables.records.folder import read_provenance
 from bench.tracking.loops.closer import Closure
 from plugins.trackers.stereo_orb import StereoOrb
-from tools.readme_tables.blocks import Block, update
-from tools.readme_tables.columns import by_settings, figures, number, read_kept
-from tools.readme_tables.command import main as readme_tables
-from tools.readme_tables.definitions import BLOCKS
+from tools.doc_tables.blocks import Block, update
+from tools.doc_tables.columns import by_settings, figures, number, read_kept
+from tools.doc_tables.command import main as doc_tables
+from tools.doc_tables.command import pages_with_tables
+from tools.doc_tables.definitions import BLOCKS
 
 ROOT = Path(__file__).parents[2]
 SIMPLE = {"one": Block(("a.txt",), lambda kept, folder: f"{(kept / 'a.txt').read_text()} {folder.name}")}
@@ -35,9 +36,13 @@ def rows_of(markdown: str) -> list[list[str]]:
     return [[cell.strip() for cell in line[1:-1].split("|")] for line in lines]
 
 
-def test_the_readme_is_up_to_date() -> None:
-    updated = update(ROOT / "README.md", ROOT / "results" / "tables", BLOCKS)
-    assert not updated.stale, f"stale: {', '.join(updated.stale)}; run python -m tools.readme_tables"
+def test_no_page_is_older_than_its_records() -> None:
+    shown = ""
+    for page in pages_with_tables(ROOT):
+        updated = update(page, ROOT / "results" / "tables", BLOCKS)
+        assert not updated.stale, f"{page}, stale: {', '.join(updated.stale)}; run python -m tools.doc_tables"
+        shown += updated.text
+    assert all(f"<!-- table: {name} -->" in shown for name in BLOCKS if name != "dialects")
 
 
 def test_only_what_is_between_the_markers_changes(tmp_path: Path) -> None:
@@ -190,7 +195,7 @@ def test_stereo_and_performance_come_from_their_own_files(tmp_path: Path, capsys
         (benchmarks / f"{name}.json").write_text(json.dumps({"ratios": {text: 40.95}}))
     file = tmp_path / "R.md"
     file.write_text("<!-- table: performance -->\n<!-- end -->\n")
-    assert readme_tables([str(file), "--performance", str(benchmarks)]) == 2
+    assert doc_tables([str(file), "--kept", str(kept), "--performance", str(benchmarks)]) == 2
     assert "performance.json lacks the ratio 'forward + backward, isotropic 100 k / mm' of rasterizer" in (
         capsys.readouterr().err
     )
@@ -260,16 +265,17 @@ def test_a_table_of_the_paper_stands_in_the_readme(tmp_path: Path) -> None:
 
 def test_the_command_rewrites_and_checks(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = kept.parents[1] / "README.md"
+    given = [str(file), "--kept", str(kept)]
     before = "a\n<!-- table: trackers -->\nold\n<!-- end -->\n<!-- table: ablation -->\nkept\n<!-- end -->\n"
     file.write_text(before)
-    assert readme_tables([str(file), "--check"]) == 1
-    assert "stale: trackers; run `python -m tools.readme_tables`" in capsys.readouterr().out
+    assert doc_tables([*given, "--check"]) == 1
+    assert ", stale: trackers; run `python -m tools.doc_tables`" in capsys.readouterr().out
     assert file.read_text() == before
-    assert readme_tables([str(file)]) == 0
+    assert doc_tables(given) == 0
     assert "left as it is: ablation: there is no " in capsys.readouterr().out
     assert "0.200 m" in file.read_text()
     assert file.read_text().endswith("-->\nkept\n<!-- end -->\n")
-    assert readme_tables([str(file), "--check"]) == 0
+    assert doc_tables([*given, "--check"]) == 0
 
 
 def test_runs_of_no_row_and_lacking_numbers_are_named(kept: Path) -> None:
