@@ -105,7 +105,7 @@ def _about_rows(title: str, dataset: Dataset, pictures: Path | None) -> tuple[tu
         picture = pictures / f"{title.replace(' ', '_').replace('/', '_')}.png"
         write_image(picture, rows_picture(frame.left, frame.right, start, there))
     if not len(start):
-        return (), (f"frame {frame.number}: no corner of the left image is found in the right one",)
+        return (f"frame {frame.number}: no corner of one image is found in the other; rows can't be judged",), ()
     off = float(np.median(np.abs(there[:, 1] - start[:, 1])))
     said = f"frame {frame.number}: rows of {len(start)} matched corners differ by {off:.2f} px in the median"
     if off > _FARTHEST_ROWS_PX:

@@ -107,10 +107,10 @@ def fetch(
     if not got.startswith(sha256):  # kept from an earlier time, when another sum was expected
         place.unlink()
         raise BenchError(f"{place} had SHA-256 {got} instead of {sha256} and was removed.{whose}")
-    say(f"{got}  {archive.file}{'' if sha256 else '   (its publisher tells no sum: recorded, and compared next time)'}")
-    several = archive.sequence_in if sequences else ""
+    unverified = "   (not verified: its publisher tells no sum; recorded, and compared from now on)"
+    say(f"{got}  {archive.file}{'' if sha256 else unverified}")
     try:
-        files = unpack(place, root / data.folder, _placing(archive, several, sequences))
+        files = unpack(place, root / data.folder, placing(archive, sequences))
         if not files:
             raise BenchError(f"{archive.file} holds nothing that belongs to {data.name}: it is not the expected file.")
     except NoRoomError:
@@ -122,7 +122,7 @@ def fetch(
         raise BenchError(
             f"Can't unpack {place}: {error.strerror or error}. Make room, or set $BGS_DATA to a folder that has it."
         ) from error
-    unpacked = list(sequences) if several else [_ALL]
+    unpacked = list(sequences) if archive.sequence_in and sequences else [_ALL]
     _remember(root, _key(data, archive), Fetched(got, place.stat().st_size, url, unpacked, str(files[-1])))
     if not options.keep:
         place.unlink()
@@ -144,17 +144,17 @@ def _expected(root: Path, data: DataSet, archive: Archive, options: FetchOptions
     )
 
 
-def _placing(
-    archive: Archive, sequence_in: str, sequences: Sequence[str]
-) -> Callable[[PurePosixPath], PurePosixPath | None]:
+def placing(archive: Archive, sequences: Sequence[str]) -> Callable[[PurePosixPath], PurePosixPath | None]:
+    """For a path in the archive the one below the data set's folder; None where it is of no use, or not of these
+    ``sequences`` (none given: all)."""
     anchor = re.compile(archive.anchor)
 
     def place(path: PurePosixPath) -> PurePosixPath | None:
         at = next((i for i, part in enumerate(path.parts) if anchor.fullmatch(part)), None)
         if at is None or path.name in archive.without:
             return None
-        if sequence_in:
-            of = re.search(sequence_in, str(path))
+        if archive.sequence_in and sequences:
+            of = re.search(archive.sequence_in, str(path))
             if of is not None and of[1] not in sequences:
                 return None
         return PurePosixPath(archive.into, *path.parts[at:])

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO
 
-from bench.errors import BenchError
+from bench.errors import BenchError, first_line
 
 _MOST_TIMES_LARGER = 100
 """Unpacked over packed size: text reaches 20, and what reaches 1000 was made to fill disks."""
@@ -69,9 +69,9 @@ def members(archive: Path) -> Iterator[Iterator[Member]]:
                 yield (_of_zip(bundle, info) for info in bundle.infolist())
         else:
             with tarfile.open(archive) as tar:
-                yield (_of_tar(tar, info) for info in tar)
+                yield _all_of_tar(tar)
     except _DAMAGES as error:
-        raise BenchError(f"{archive.name} is damaged ({error}). Download it again.") from error
+        raise BenchError(f"{archive.name} is damaged ({first_line(error)}). Download it again.") from error
 
 
 def _of_zip(bundle: zipfile.ZipFile, info: zipfile.ZipInfo) -> Member:
@@ -80,6 +80,14 @@ def _of_zip(bundle: zipfile.ZipFile, info: zipfile.ZipInfo) -> Member:
     kind = (info.external_attr >> 16) & 0o170000
     plain = not info.is_dir() and kind in (0, 0o100000)
     return Member(info.filename, info.file_size, info.is_dir(), plain, lambda: bundle.open(info))
+
+
+def _all_of_tar(tar: tarfile.TarFile) -> Iterator[Member]:
+    for info in tar:
+        yield _of_tar(tar, info)
+    assert tar.fileobj is not None
+    while tar.fileobj.read(1 << 20):  # the checksum of what is compressed stands behind all of it
+        pass
 
 
 def _of_tar(tar: tarfile.TarFile, info: tarfile.TarInfo) -> Member:

@@ -92,7 +92,10 @@ class Kitti360(Dataset):
         """Each drive of ``data_2d_raw/``."""
         for folder in sorted((root / "data_2d_raw").glob("2013_05_28_drive_*_sync")):
             scans = root / "data_3d_raw" / folder.name / "velodyne_points" / "data"
-            yield SequenceOnDisk({"sequence": folder.name[17:21]}, (*(folder / side for side in _SIDES), scans))
+            images = tuple(folder / side / "data_rect" for side in _SIDES)
+            # The archive of the timestamps makes a folder for every drive.
+            if any(any(each.parent.glob("data_*")) for each in images):
+                yield SequenceOnDisk({"sequence": folder.name[17:21]}, (*images, scans))
 
     def lacks(self) -> tuple[str, ...]:
         """Poses and LiDAR that are not here."""

@@ -9,11 +9,13 @@ from contextlib import contextmanager
 
 
 class CuttingServer(http.server.ThreadingHTTPServer):
-    """Serves ``content`` at every path. ``cuts``: after how many bytes each of the next answers breaks off."""
+    """Serves ``content``, or the one of ``files`` that a path ends in. ``cuts``: after how many bytes each of the next
+    answers breaks off."""
 
     def __init__(self, content: bytes) -> None:
         super().__init__(("127.0.0.1", 0), _Handler)
         self.content = content
+        self.files: dict[str, bytes] = {}
         self.etag: str | None = '"one"'
         self.cuts: list[int] = []
         self.ranges_allowed = True
@@ -39,7 +41,8 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         start = int(wanted.removeprefix("bytes=").rstrip("-")) if wanted and server.ranges_allowed else 0
         if self.headers.get("If-Range") not in (None, server.etag):
             start = 0
-        total = len(server.content)
+        content = server.files.get(self.path.rpartition("/")[2], server.content)
+        total = len(content)
         if start >= total > 0:
             self.send_response(416)
             self.send_header("Content-Range", f"bytes */{total}")
@@ -54,7 +57,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(server.claimed_length or total - start))
         self.end_headers()
         end = start + server.cuts.pop(0) if server.cuts else total
-        self.wfile.write(server.content[start:end])
+        self.wfile.write(content[start : min(end, start + (server.claimed_length or total))])
 
     def log_message(self, *_: object) -> None:
         """Nothing on the terminal."""
