@@ -74,13 +74,19 @@ class Rectification:
     """
 
     def __init__(
-        self, left: DistortedCamera, right: DistortedCamera, T_right_left: Float, focal: float | None = None
+        self,
+        left: DistortedCamera,
+        right: DistortedCamera,
+        T_right_left: Float,
+        focal: float | None = None,
+        crop: Sequence[int] | None = None,
     ) -> None:
         """``T_right_left`` (4, 4) in metres takes points from the left camera's axes to the right one's.
 
         ``focal`` in pixels is that of the rectified images, which have the size of the stored ones. None: as OpenCV
         chooses it for no pixel inside the border to be black; of a fisheye, the stored images' in their middle, because
-        all that it sees would make that middle small. Raises ``BenchError`` where these are no left and right camera.
+        all that it sees would make that middle small. ``crop`` is the part that is kept of the rectified images: column
+        and row of its first pixel, width, height. Raises ``BenchError`` where these are no left and right camera.
         """
         if (left.width, left.height) != (right.width, right.height):
             raise BenchError(
@@ -109,7 +115,8 @@ class Rectification:
         baseline = float(-P_right[0, 3] / P_right[0, 0])
         f = f if focal is None else focal
         cx, cy = float(P_left[0, 2]), float(P_left[1, 2])
-        self.camera = StereoCamera(*size, f, f, cx, cy, right_position=(baseline, 0.0, 0.0))
+        x, y, width, height = (0, 0, *size) if crop is None else crop
+        self.camera = StereoCamera(width, height, f, f, cx - x, cy - y, right_position=(baseline, 0.0, 0.0))
         self.maps = left.maps(turns[0], self.camera), right.maps(turns[1], self.camera)
 
     def pair(self, left: Image, right: Image) -> tuple[Image, Image]:

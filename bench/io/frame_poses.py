@@ -63,11 +63,14 @@ def poses_of_images(path: Path, images: NamedFiles, times: Float | None) -> Imag
 
 
 def read_times(path: Path, images: NamedFiles) -> tuple[Float, tuple[str, ...]]:
-    """Times (N,) in seconds of ``images`` from a file with one a line, and remarks; ns, us and ms are recognised.
+    """Times (N,) in seconds of ``images`` from a file with one a line, the first column where it is a table, and
+    remarks; ns, us and ms are recognised.
 
     Lines are joined with images as those of KITTI poses. ``BenchError`` for what is no time or does not increase.
     """
     lines = read_text(path, "file of times").rstrip().splitlines()
+    if lines and re.match(r"[A-Za-z_]", lines[0]):  # the columns' names
+        del lines[0]
     try:
         times = np.array([float(re.split(r"[\s,]", line.strip())[0]) for line in lines if not line.startswith("#")])
     except ValueError:

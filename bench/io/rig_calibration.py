@@ -55,7 +55,7 @@ def read_rig(first: Path, second: Path | None, size: Size, model: str = "", unit
     """
     of_first = _load(first)
     of_second = None if second is None else _load(second)
-    if any(str(key).startswith("cam") and isinstance(value, Mapping) for key, value in of_first.items()):
+    if any(re.fullmatch(r"cam\d", str(key)) for key in of_first):
         rig = _of_kalibr(first, of_first, size)
     elif "T_BS" in of_first:
         rig = read_sensors(first, _required(second, first, "the right camera's sensor.yaml"), size)
@@ -209,8 +209,9 @@ def _load(path: Path) -> dict[str, Any]:
         raise BenchError(f"The calibration {path} does not exist. Check the path.")
     with reading(path, "can't be read as YAML", "Give a calibration as YAML."):
         text = re.sub(r"\A%YAML[^\n]*\n(---[^\n]*\n)?", "", read_plain_text(path, _MOST_BYTES))
+        text = re.sub(r"!!opencv-(nd-)?matrix", "", text)
         # `rostopic echo` puts --- behind each message: the first one counts.
-        content = parse_yaml(re.split(r"(?m)^---\s*$", text.removeprefix("---\n"))[0].replace("!!opencv-matrix", ""))
+        content = parse_yaml(re.split(r"(?m)^---\s*$", text.removeprefix("---\n"))[0])
     if not isinstance(content, dict):
         raise BenchError(f"{path} is no calibration: expected names and values. Give the right file.")
     return content
@@ -233,11 +234,12 @@ def _flat(where: Path | str, content: Mapping[str, Any], key: str) -> tuple[floa
     """The numbers of a list, a list of lists, or a matrix with ``data``."""
     value = content.get(key)
     value = value.get("data") if isinstance(value, Mapping) else value
+    if value is None:
+        raise BenchError(f"{where}: {key} is missing. Restore the file.")
     try:
         return tuple(np.asarray(value, dtype=np.float64).reshape(-1).tolist())
     except (TypeError, ValueError):
-        found = "is missing" if value is None else "holds something that is no number"
-        raise BenchError(f"{where}: {key} {found}. Restore the file.") from None
+        raise BenchError(f"{where}: {key} holds something that is no number. Restore the file.") from None
 
 
 def _matrix(where: Path | str, content: Mapping[str, Any], key: str, shape: tuple[int, int]) -> Float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -56,5 +58,11 @@ def _refined(
 
 def row_offset(left: Image, right: Image) -> float:
     """Median of |row in the right image - row in the left one| over matched corners, in pixels; NaN without any."""
-    start, there = matched_rows(left, right)
-    return float(np.median(np.abs(there[:, 1] - start[:, 1]))) if len(start) else float("nan")
+    return row_offset_of_pairs([(left, right)])[0]
+
+
+def row_offset_of_pairs(pairs: Iterable[tuple[Image, Image]]) -> tuple[float, int]:
+    """As ``row_offset``, over the corners of several pairs together, and how many they are."""
+    matched = [matched_rows(left, right) for left, right in pairs]
+    off = np.concatenate([np.abs(there[:, 1] - start[:, 1]) for start, there in matched])
+    return float(np.median(off)) if len(off) else float("nan"), len(off)

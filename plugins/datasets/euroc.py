@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -10,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from bench.contracts.dataset import Dataset
+from bench.contracts.dataset import Dataset, SequenceOnDisk
+from bench.data.places import existing_root
 from bench.errors import BenchError, require_between
 from bench.geometry import se3
 from bench.geometry.rectification import Rectification
@@ -38,7 +40,7 @@ class EurocConfig(PluginConfig):
     """Which sequence of EuRoC, and at which size."""
 
     root: str = field(default="", metadata={"path": True})
-    """Folder that holds the sequences, or one of them; must be given."""
+    """Folder that holds the sequences, or one of them; empty: euroc in $BGS_DATA."""
     sequence: str = "V1_01_easy"
     """Folder of the sequence, which holds ``mav0/``."""
     frames: str = ""
@@ -84,6 +86,18 @@ class Euroc(Dataset):
             self._poses = _body_poses(truth, self._ns) @ T_body_left @ T_left_rect
         self.remarks = (*self._images.remarks, *self._about_gaps(len(left) - len(both), len(right) - len(both)))
 
+    @classmethod
+    def sequences_in(cls, root: Path) -> Iterator[SequenceOnDisk]:
+        """Each folder with a ``mav0``, ``root`` itself included."""
+        for folder in (root, *sorted(entry for entry in root.iterdir() if entry.is_dir())):
+            if (folder / "mav0").is_dir():
+                images = tuple(folder / "mav0" / camera / "data" for camera in _CAMERAS)
+                yield SequenceOnDisk({"sequence": folder.resolve().name}, images)
+
+    def lacks(self) -> tuple[str, ...]:
+        """The ground truth, where it is not here."""
+        return () if self._poses is not None else (f"no ground truth ({_TRUTH}/data.csv)",)
+
     def frame(self, position: int) -> StereoFrame:
         """Decode and rectify one pair; raises ``BenchError`` if an image turns out to be damaged."""
         left, right = self._rectification.pair(*(self._images.read(path) for path in self._files[position]))
@@ -114,16 +128,14 @@ class Euroc(Dataset):
 
 
 def _existing(config: EurocConfig) -> Path:
-    if not config.root:
-        raise BenchError("dataset.root is not set. Give the folder that holds the sequences, dataset.root=FOLDER.")
-    root = Path(config.root).expanduser()
+    root = existing_root(config.root, "euroc", "the sequences")
     folder = next((each / "mav0" for each in (root / config.sequence, root) if (each / "mav0").is_dir()), None)
     if folder is not None:
         return folder
     there = sorted(entry.parent.name for entry in root.glob("*/mav0"))
     raise BenchError(
-        f"{root / config.sequence} holds no folder 'mav0'; dataset.root={config.root} has "
-        f"{', '.join(there) or 'no sequence'}. Choose one by dataset.sequence, or unpack it there."
+        f"{root / config.sequence} holds no folder 'mav0'; {root} has {', '.join(there) or 'no sequence'}. Choose "
+        "one by dataset.sequence, or unpack it there."
     )
 
 

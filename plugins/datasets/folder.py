@@ -6,20 +6,13 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError, require_least
-from bench.io.frame_names import NamedFiles, in_order, join
-from bench.io.frame_poses import poses_of_images, read_times
-from bench.io.frame_range import describe, parse_frame_range, select_frames
-from bench.io.images import IMAGE_SUFFIXES, ImageSequence, describe_files
-from bench.io.trajectories import known_poses, values_per_line
+from bench.io.own_pairs import FolderPairs, times_and_poses
+from bench.io.trajectories import known_poses
 from bench.registry import PluginConfig, register
-from bench.types import Float, StereoCamera, StereoFrame, Trajectory
-
-# Without timestamps of its own a folder counts as recorded at this rate.
-_RATE_HZ = 10.0
+from bench.types import StereoCamera, StereoFrame, Trajectory
 
 
 @dataclass(frozen=True)
@@ -62,71 +55,23 @@ class Folder(Dataset):
             value = getattr(config, what.name)
             if what.name in ("fx", "fy", "cx", "cy", "baseline") and not (np.isfinite(value) and value > 0):
                 raise BenchError(f"dataset.{what.name}={value} must be positive. Take it from your calibration.")
-        left, right = in_order(_images("left", config.left)), in_order(_images("right", config.right))
-        pairs = join(left, right)
+        self._pairs = FolderPairs(config.left, config.right, config.frames)
         self.label = f"folder/{Path(config.left).resolve().parent.name}"
-        counted = left.counted()
-        self.numbers = _select(config.frames, counted, pairs.left, config.left)
-        chosen = np.isin(counted[pairs.left], self.numbers)
-        rows = pairs.left[chosen]
-        self._left = [left.files[row] for row in rows]
-        self._right = [right.files[row] for row in pairs.right[chosen]]
-        chosen_files = [path for pair in zip(self._left, self._right, strict=True) for path in pair]
-        self._images = ImageSequence(chosen_files, [*left.files, *right.files])
-        self.camera = _camera(config, self._images.size)
-        remarks = [*pairs.remarks, *_about_gaps(left, counted), *self._images.remarks]
-        times, told = _times(config, left)
-        self._poses: Float | None = None
-        if config.poses:
-            found = poses_of_images(Path(config.poses).expanduser(), left, times)
-            self._poses, told = found.T_world_cam[rows], told + found.remarks
-            times = times if found.times is None else found.times
-            unknown = [number for number, T in zip(self.numbers, self._poses, strict=True) if not np.isfinite(T).all()]
-            if unknown:
-                told += (f"{len(unknown)} of {len(self)} frames have no ground truth: {describe(unknown)}",)
-        self._times = np.array(self.numbers) / _RATE_HZ if times is None else times[rows]
-        self.remarks = (*remarks, *told)
+        self.numbers = self._pairs.numbers
+        self.camera = _camera(config, self._pairs.size)
+        found = times_and_poses(self._pairs, config.poses, config.times)
+        self._times, self._poses = found.times, found.poses
+        self.remarks = (*self._pairs.remarks, *found.remarks)
 
     def frame(self, position: int) -> StereoFrame:
         """Decode one pair; raises ``BenchError`` if an image turns out to be damaged."""
-        left, right = (self._images.read(side[position]) for side in (self._left, self._right))
-        return StereoFrame(self.numbers[position], float(self._times[position]), left, right)
+        return StereoFrame(self.numbers[position], float(self._times[position]), *self._pairs.pair(position))
 
     def ground_truth(self) -> Trajectory | None:
         """The poses of the file, of the frames that have one; None where none has."""
         if self._poses is None or not (known := known_poses(self._poses)).any():
             return None
         return Trajectory(self._poses[known], np.array(self.numbers, dtype=np.int64)[known], self._times[known])
-
-
-def _images(side: str, folder: str) -> list[Path]:
-    if not folder:
-        raise BenchError(f"dataset.{side} is not set. Give the folder of the {side} images, dataset.{side}=FOLDER.")
-    path = Path(folder).expanduser()
-    if not path.is_dir():
-        raise BenchError(f"dataset.{side}={folder}: this folder does not exist. Give the folder of the {side} images.")
-    files = [file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")]
-    images = [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES]
-    if not images:
-        raise BenchError(
-            f"dataset.{side}={folder} holds no PNG or JPEG image, but {describe_files(files)}. Give the folder of the "
-            f"{side} images, as PNG of 8 or 16 bits or JPEG."
-        )
-    return images
-
-
-def _select(text: str, counted: npt.NDArray[np.int64], paired: npt.NDArray[np.intp], where: str) -> tuple[int, ...]:
-    """The numbers among the pairs' that the setting ``frames`` asks for; those without a partner are left out."""
-    there = counted[paired].tolist()
-    wanted = parse_frame_range(text)
-    if wanted is None:
-        return tuple(there)
-    first, end, step = wanted
-    chosen = tuple(number for number in there if number >= first and (number - first) % step == 0)
-    chosen = tuple(number for number in chosen if end is None or number < end)
-    if not chosen or (end is not None and end > counted[-1] + 1):
-        return select_frames(text, there, where)
-    return chosen
 
 
 def _camera(config: FolderConfig, size: tuple[int, int]) -> StereoCamera:
@@ -138,23 +83,3 @@ def _camera(config: FolderConfig, size: tuple[int, int]) -> StereoCamera:
         )
     fx, fy, cx, cy = config.fx, config.fy, config.cx, config.cy
     return StereoCamera(width, height, fx=fx, fy=fy, cx=cx, cy=cy, right_position=(config.baseline, 0.0, 0.0))
-
-
-def _about_gaps(left: NamedFiles, counted: npt.NDArray[np.int64]) -> list[str]:
-    skipped = int(counted[-1]) + 1 - len(counted)
-    if not skipped:
-        return []
-    after = left.files[int(np.argmax(np.diff(counted) > 1))]
-    return [f"the numbers in the names of {after.parent.name} skip {skipped} frames, the first after {after.name}"]
-
-
-def _times(config: FolderConfig, left: NamedFiles) -> tuple[Float | None, tuple[str, ...]]:
-    """Times (N,) of the left images in seconds, or None where nothing tells them, and what to say of that."""
-    if config.times:
-        return read_times(Path(config.times).expanduser(), left)
-    beside = Path(config.left).expanduser().parent / "times.txt"
-    if left.times is not None or not config.poses or not beside.is_file():
-        return left.times, ()
-    if values_per_line(Path(config.poses).expanduser(), "pose file") != 8:
-        return None, ()
-    return read_times(beside, left)

@@ -126,6 +126,8 @@ def test_a_rectifying_rotation_is_part_of_the_pose(tmp_path: Path) -> None:
 def test_times_in_seconds_are_the_same(tmp_path: Path) -> None:
     write_euroc(tmp_path / "ns")
     write_euroc(tmp_path / "s", seconds=True)
+    assert [each.settings for each in Euroc.sequences_in(tmp_path / "s")] == [{"sequence": "V9_01_made_up"}]
+    assert opened(tmp_path / "s").lacks() == ("no ground truth (state_groundtruth_estimate0/data.csv)",)
     times = [[data.frame(i).timestamp for i in range(4)] for data in (opened(tmp_path / "ns"), opened(tmp_path / "s"))]
     np.testing.assert_allclose(times[0], times[1], atol=1e-6)
 
@@ -165,7 +167,7 @@ def with_truth(text: str) -> Damage:
 
 ROW = f"{START},0,0,0,1,0,0,0,0\n"
 BAD: dict[str, tuple[Damage | None, dict[str, Any], str]] = {
-    "no root": (None, {"root": ""}, "dataset.root is not set"),
+    "no root": (None, {"root": "gone"}, "dataset.root=gone: this folder does not exist"),
     "other": (None, {"sequence": "MH_01"}, r"MH_01 holds no folder 'mav0'; .* has V9_01_made_up\. Choose one"),
     "no list": (lambda mav0: (mav0 / "cam1/data.csv").unlink(), {}, r"cam1/data.csv does not exist"),
     "no image": (
