@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
@@ -220,6 +220,14 @@ def shrunk(image: Image, size: tuple[int, int]) -> Image:
     if (image.shape[1], image.shape[0]) == size:
         return image
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def nearest_pixels(values: npt.NDArray[Any], size: tuple[int, int]) -> npt.NDArray[Any]:
+    """Of an array (H, W), such as depth or classes, which must not be mixed: the nearest values at ``size`` (width,
+    height); of this size already, itself."""
+    if (values.shape[1], values.shape[0]) == size:
+        return values
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST_EXACT), values.dtype)
 
 
 def grey(image: Image) -> Image:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from bench.errors import BenchError
-from bench.io.images import ImageSequence, read_16_bit, require_one_size, shrunk
+from bench.io.images import ImageSequence, nearest_pixels, read_16_bit, require_one_size, shrunk
 from bench.types import Image, Map, StereoCamera
 
 _PLAUSIBLE_M = (0.01, 200.0)
@@ -90,8 +90,7 @@ class RgbdImages:
     def depth(self, position: int) -> Map:
         """(H, W) float32 metres as the sensor gave them, NaN where it gave none (0)."""
         stored = read_16_bit(self._depth[position], self._size, "RGB-D data sets store depth")
-        if self._scaled != self._size:
-            stored = np.asarray(cv2.resize(stored, self._scaled, interpolation=cv2.INTER_NEAREST_EXACT), np.uint16)
+        stored = nearest_pixels(stored, self._scaled)
         return np.where(stored > 0, stored / np.float32(self._factor), np.float32(np.nan)).astype(np.float32)
 
     @property

@@ -87,10 +87,29 @@ def read_tum_lines(path: Path | str) -> tuple[Float, Float]:
     """
     path = Path(path)
     table, lines = _read_table(path, 8, "8 numbers: timestamp tx ty tz qx qy qz qw", lines_count=False)
-    known = _known(table, table[:, 4:], path)
-    _require_near(table[:, 1:4], lines, path)
+    T = _of_quaternions(table[:, 1:], lines, path)
+    late = np.flatnonzero(~(np.diff(table[:, 0], prepend=-np.inf) > 0))
+    if len(late):
+        at = int(late[0])
+        raise BenchError(
+            f"{path}, line {lines[at]}: the timestamp {table[at, 0]} is not after the one before. Sort it by time."
+        )
+    return table[:, 0], T
+
+
+def read_poses_without_times(path: Path | str) -> Float:
+    """Poses (N, 4, 4) of a file of lines ``tx ty tz qx qy qz qw``, one per frame; otherwise as ``read_tum_lines``."""
+    path = Path(path)
+    table, lines = _read_table(path, 7, "7 numbers: tx ty tz qx qy qz qw", lines_count=True)
+    return _of_quaternions(table, lines, path)
+
+
+def _of_quaternions(table: Float, lines: list[int], path: Path) -> Float:
+    """Poses (N, 4, 4) of rows tx ty tz qx qy qz qw, (N, 7); NaN where a row says that the pose is unknown."""
+    known = _known(table, table[:, 3:], path)
+    _require_near(table[:, :3], lines, path)
     with np.errstate(all="ignore"):  # of numbers without measure
-        length = np.linalg.norm(table[:, 4:], axis=1)
+        length = np.linalg.norm(table[:, 3:], axis=1)
     wrong = known & (np.abs(length - 1.0) > _ROTATION_TOLERANCE)
     if wrong.any():
         at = int(np.argmax(wrong))
@@ -98,15 +117,9 @@ def read_tum_lines(path: Path | str) -> tuple[Float, Float]:
             f"{path}, line {lines[at]}: the quaternion has length {length[at]:.4g}, not 1. Expected qx qy qz qw in the "
             "last four columns."
         )
-    late = np.flatnonzero(~(np.diff(table[:, 0], prepend=-np.inf) > 0))
-    if len(late):
-        at = int(late[0])
-        raise BenchError(
-            f"{path}, line {lines[at]}: the timestamp {table[at, 0]} is not after the one before. Sort it by time."
-        )
     T = np.full((len(table), 4, 4), np.nan)
-    T[known] = se3.compose(se3.quaternion_to_rotation(table[known, 4:]), table[known, 1:4])
-    return table[:, 0], T
+    T[known] = se3.compose(se3.quaternion_to_rotation(table[known, 3:]), table[known, :3])
+    return T
 
 
 def write_kitti(path: Path | str, poses: Float) -> None:
