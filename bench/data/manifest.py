@@ -224,7 +224,12 @@ def manifest() -> tuple[DataSet, ...]:
             "vkitti2",
             "https://europe.naverlabs.com/research/computer-vision/proxy-virtual-worlds-vkitti-2/",
             _NC,
-            (_vkitti2("textgt", "tar.gz", 0.03), _vkitti2("rgb", gb=7), _vkitti2("depth", gb=8)),
+            (
+                _vkitti2("textgt", "tar.gz", 0.03),
+                _vkitti2("rgb", gb=7),
+                _vkitti2("depth", gb=8),
+                _vkitti2("classSegmentation", gb=1),
+            ),
             sequences=("Scene01", "Scene02", "Scene06", "Scene18", "Scene20"),
         ),
         DataSet(

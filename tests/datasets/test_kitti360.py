@@ -437,3 +437,72 @@ def test_damage_that_only_decoding_finds(tmp_path: Path) -> None:
     dataset.frame(0)
     with pytest.raises(BenchError, match=r"0000000002.png is damaged"):
         dataset.frame(1)
+
+
+@pytest.fixture(scope="module")
+def real(test_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Kitti360:
+    """Two real images of the left camera and their scans; for want of the right ones they are the right ones too."""
+    root, sample = tmp_path_factory.mktemp("kitti360"), test_data / "kitti360_sample"
+    raw, scans = (root / kind / drive_of("0000") for kind in ("data_2d_raw", "data_3d_raw"))
+    for side in ("image_00", "image_01"):
+        (raw / side).mkdir(parents=True)
+        (raw / side / "data_rect").symlink_to(sample / "data_2d_raw" / "sample" / "image_00" / "data")
+    scans.mkdir(parents=True)
+    (scans / "velodyne_points").symlink_to(sample / "data_3d_raw" / "sample" / "velodyne_points")
+    (root / "calibration").symlink_to(sample / "calibration")
+    return open_kitti360(root, sequence="0000")
+
+
+def tracks(dataset: Kitti360) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (N, 2) of the first image that are found in the second one, and back."""
+    images = [cv2.cvtColor(dataset.frame(i).left, cv2.COLOR_RGB2GRAY) for i in range(2)]
+    start = cv2.goodFeaturesToTrack(images[0], 2000, 0.005, 5)[:, 0]
+    there, seen, _ = cv2.calcOpticalFlowPyrLK(images[0], images[1], start, None)
+    back, seen_again, _ = cv2.calcOpticalFlowPyrLK(images[1], images[0], there, None)
+    good = (seen[:, 0] == 1) & (seen_again[:, 0] == 1) & (np.linalg.norm(back - start, axis=1) < 0.3)
+    return start[good].astype(np.float64), there[good].astype(np.float64)
+
+
+def depth_near(depth: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """LiDAR depth within 2 px of each place, where that is of one surface; else NaN."""
+    found = np.full(len(places), np.nan)
+    for i, (u, v) in enumerate(np.rint(places).astype(int)):
+        near = depth[max(v - 2, 0) : v + 3, max(u - 2, 0) : u + 3]
+        near = near[np.isfinite(near)]
+        if len(near) and near.max() < 1.1 * near.min():
+            found[i] = np.median(near)
+    return found
+
+
+def test_real_scans_agree_with_what_two_images_say_of_depth(real: Kitti360) -> None:
+    """The camera's motion, and so depth up to one scale, follow from corners of both images without any LiDAR: the
+    median deviation is 1.8 % (of 290 corners, at 11 m in the median). Scans beside their place agree worse."""
+    assert (real.numbers, real.camera.width) == ((3000, 3001), 1408)
+    start, there = tracks(real)
+    K = real.camera.intrinsics
+    E, inliers = cv2.findEssentialMat(start, there, K, cv2.RANSAC, 0.999, 0.5)
+    _, R, t, inliers = cv2.recoverPose(E, start, there, K, mask=inliers)
+    used = (inliers[:, 0] > 0) & (np.linalg.norm(there - start, axis=1) > 8)
+    points = cv2.triangulatePoints(K @ np.eye(3, 4), K @ np.hstack([R, t]), start[used].T, there[used].T)
+    z = points[2] / points[3]
+    lidar = real.lidar_depth(0)
+    assert lidar is not None
+    assert np.isfinite(lidar).sum() > 25_000
+
+    def deviation(depth: np.ndarray) -> float:
+        ratio = depth_near(depth, start[used]) / z
+        ratio = ratio[np.isfinite(ratio) & (z > 0)]
+        assert len(ratio) > 200
+        return float(np.median(np.abs(ratio / np.median(ratio) - 1)))
+
+    assert deviation(lidar) < 0.025
+    assert deviation(np.roll(lidar, 20, axis=1)) > 1.3 * deviation(lidar)
+    # The same motion from the first scan's depth in metres: the second scan sees what the first one did, to 0.8 %.
+    z = depth_near(lidar, start)
+    known = np.isfinite(z)
+    seen = np.column_stack([start[known], np.ones(known.sum())]) @ np.linalg.inv(K).T * z[known, None]
+    _, turn, move, inliers = cv2.solvePnPRansac(seen, there[known], K, None, reprojectionError=1.0)
+    assert len(inliers) > 0.7 * known.sum()
+    predicted = (seen @ cv2.Rodrigues(turn)[0].T + move.T)[:, 2]
+    assert np.nanmedian(np.abs(predicted / depth_near(real.lidar_depth(1), there[known]) - 1)) < 0.015
+    assert 0.8 < np.linalg.norm(move) < 1.2  # metres in a tenth of a second: 36 km/h in a street of houses
