@@ -78,10 +78,10 @@ sanitize: $(TESTING)
 map-viewer:
 	npm install --prefix build/map_viewer --no-save --ignore-scripts --no-audit --no-fund @playcanvas/splat-transform@2.7.1
 
-# The report's pages in Chromium (/usr/bin/chromium, or $$BGS_CHROMIUM).
+# The report's pages and the map's view in Chromium (/usr/bin/chromium, or $$BGS_CHROMIUM).
 browser-test: $(TESTING)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[browser]'
-	$(BIN)/python -m pytest -m browser tests/report
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[browser,viewer]'
+	$(BIN)/python -m pytest -m browser tests/report tests/viewers
 
 clean:
 	rm -rf $(VENV) build

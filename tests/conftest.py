@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,6 +23,10 @@ from bench import registry
 from bench.config import compose_run
 from bench.discovery import load_plugins
 from tests.street_made_once import remember_streets
+
+_CHROMIUM = Path(os.environ.get("BGS_CHROMIUM") or "/usr/bin/chromium")
+# The tests may run as root, and no GPU is needed.
+_OPTIONS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 def _folder_from(variable: str) -> Path:
@@ -53,6 +58,18 @@ def kitti_root(test_data: Path) -> Path:
 def weights_root() -> Path:
     """The folder of real network weights (``BGS_WEIGHTS``)."""
     return _folder_from("BGS_WEIGHTS")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium, without a window."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; make browser-test")
+    if not _CHROMIUM.is_file():
+        pytest.skip(f"there is no {_CHROMIUM}; install Chromium, or name it in BGS_CHROMIUM")
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=str(_CHROMIUM), args=_OPTIONS)
+        yield started
+        started.close()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -7,6 +7,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from bench.contracts.loss import LossTerm
 from bench.contracts.map_view import MapView
 from bench.errors import BenchError
@@ -143,3 +146,8 @@ class Mapper(ABC):
     def save(self, path: Path) -> None:
         """Write the map to ``path``, for one with a ``map_file``: PLY in the standard 3DGS layout for Gaussian maps."""
         raise NotImplementedError(f"{type(self).__name__} names a map_file and has no save() to write it")
+
+    def keyframes_of_map(self) -> npt.NDArray[np.int32] | None:
+        """(N,) the number of the keyframe that each element belongs to, in the order of what ``save`` has just written,
+        -1 for none (the sky): by these ``view`` shows how the map grew. None (the default): it can't tell."""
+        return None

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import torch
 
 from bench.gaussians.levels import merged
-from bench.gaussians.map import GaussianMap, MapMotion, matches
+from bench.gaussians.map import GaussianMap, MapMotion, keyframes_of, matches
 from bench.gaussians.ply import write_ply_in_parts
 from bench.gaussians.schema import LOG_SCALE, MEAN
 from bench.geometry import se3
@@ -191,6 +191,13 @@ class ChunkedMap:
         live, sky = self.live.seen_from(np.zeros(3)), self.live.sky
         parts = chain([live[:, :sky]], self._all_blocks(), [live[:, sky:]])
         write_ply_in_parts(path, parts, len(self), self.live.sh_degree, sky)
+
+    def keyframes_of_all(self) -> npt.NDArray[np.int32]:
+        """(N,) number of the keyframe of each Gaussian in the order of ``save``, -1 for none."""
+        live, sky = self.live.keyframes_of_all(), self.live.sky
+        stored = [self._arrays_of(block) for block in list(self._blocks.values())]
+        blocks = [keyframes_of(arrays["anchor"], arrays["numbers"]) for arrays in stored if arrays is not None]
+        return np.concatenate([live[:sky], *blocks, live[sky:]])
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint; ``stored``: names in the store. The live Gaussians are put there, too: that takes no second

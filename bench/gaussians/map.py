@@ -240,6 +240,10 @@ class GaussianMap:
         """Write the parameters as a PLY file in the layout of 3DGS, with the sky about the origin."""
         write_ply(path, self.seen_from(np.zeros(3)), self.sky)
 
+    def keyframes_of_all(self) -> npt.NDArray[np.int32]:
+        """(N,) number of the keyframe of each Gaussian, -1 for none."""
+        return keyframes_of(self.anchor.cpu().numpy(), self._numbers)
+
     @classmethod
     def load(cls, path: Path, device: str | torch.device = "cpu") -> GaussianMap:
         """A map that ``save`` or another 3DGS program wrote; ``BenchError`` for a file that is none.
@@ -327,6 +331,11 @@ class GaussianMap:
         """
         self.first_moment[planes, which] = matrix @ self.first_moment[planes, which]
         self.second_moment[planes, which] = matrix.square() @ self.second_moment[planes, which]
+
+
+def keyframes_of(anchor: npt.NDArray[np.int32], numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:
+    """Numbers (N,) of the keyframes that the rows ``anchor`` (N,) of ``numbers`` (K,) mean, -1 for none."""
+    return np.append(numbers, -1)[np.where(anchor < 0, len(numbers), anchor)].astype(np.int32)
 
 
 def _direction_cells(offsets: Tensor, cell: float) -> Tensor:

@@ -40,6 +40,8 @@ METRICS_FILE = "metrics.json"
 PER_FRAME_FILE = "per_frame.csv"
 SCORES_FILE = "scores.jsonl"
 """What a scoring that is not finished has so far: one line a frame."""
+MAP_KEYFRAMES_FILE = "map_keyframes.npy"
+"""(N,) int32: the number of the keyframe that each element of the map's file belongs to, -1 for none."""
 LOG_FILE = "log.txt"
 PLOT_FILE = "trajectory.png"
 
@@ -62,6 +64,7 @@ OTHER_FILES = (
     METRICS_FILE,
     PER_FRAME_FILE,
     SCORES_FILE,
+    MAP_KEYFRAMES_FILE,
     LOG_FILE,
     PLOT_FILE,
 )
@@ -264,6 +267,11 @@ class RunFolder:
     def write_events(self, events: Sequence[Event]) -> None:
         """Save what happened, in order, as ``events.jsonl``."""
         write_events(self.path, events)
+
+    def write_map_keyframes(self, keyframes: npt.NDArray[np.int32]) -> None:
+        """Save which keyframe each element of the map's file belongs to."""
+        with atomic_path(self.path / MAP_KEYFRAMES_FILE) as temporary, open(temporary, "wb") as file:
+            np.save(file, keyframes, allow_pickle=False)
 
     def write_json(self, name: str, obj: Any) -> None:
         """Save a JSON file, for example ``resources.json``; NaN becomes null."""

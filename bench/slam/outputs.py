@@ -129,6 +129,9 @@ def save_outputs(system: System, folder: RunFolder, done: Progress, memory: Peak
     if system.mapper.map_file is not None and _holds_something(size, done):
         with atomic_path(folder.path / system.mapper.map_file) as temporary:
             system.mapper.save(temporary)
+        keyframes = system.mapper.keyframes_of_map()
+        if keyframes is not None:
+            folder.write_map_keyframes(keyframes)
     for what, number, mask in system.mapper.pictures():
         folder.write_mask(what, number, mask)
     per_frame = {f"{stage}_s_per_frame": seconds / frames for stage, seconds in done.seconds.items()}

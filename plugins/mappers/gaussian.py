@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from bench import registry
@@ -218,6 +219,9 @@ class GaussianMapper(Mapper):
 
     def save(self, path: Path) -> None:
         self._map.save(path)
+
+    def keyframes_of_map(self) -> npt.NDArray[np.int32]:
+        return self._map.keyframes_of_all()
 
     def needs(self, frames: int) -> MapNeeds:
         c = self.config

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from bench import registry
@@ -170,6 +171,9 @@ class MonoGSMapper(Mapper):
 
     def save(self, path: Path) -> None:
         self._map.save(path)
+
+    def keyframes_of_map(self) -> npt.NDArray[np.int32]:
+        return self._map.keyframes_of_all()
 
     def needs(self, frames: int) -> MapNeeds:
         return self.config.needs(self._camera.width * self._camera.height, frames)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from bench import registry
@@ -180,6 +181,9 @@ class SplatamMapper(Mapper):
 
     def save(self, path: Path) -> None:
         self._map.save(path)
+
+    def keyframes_of_map(self) -> npt.NDArray[np.int32]:
+        return self._map.keyframes_of_all()
 
     def needs(self, frames: int) -> MapNeeds:
         pixels = self._camera.width * self._camera.height

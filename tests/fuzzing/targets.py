@@ -34,6 +34,7 @@ from bench.tables.records.file import record_text
 from bench.tracking.loops.vocabulary import load as load_vocabulary
 from bench.tracking.loops.vocabulary import train
 from bench.types import TrackingResult, Trajectory
+from bench.viewers.splats import read_splats
 from plugins.datasets.kitti import Kitti, KittiConfig
 from plugins.datasets.kitti360 import Kitti360, Kitti360Config
 from plugins.datasets.replica import Replica, ReplicaConfig
@@ -240,6 +241,11 @@ def _read_dataset(dataset: Dataset) -> None:
     dataset.ground_truth()
 
 
+def _map_and_keyframes(folder: Path) -> None:
+    write_ply(folder / "map.ply", torch.randn(14, 30))
+    np.save(folder / "map_keyframes.npy", np.arange(30, dtype=np.int32))
+
+
 def _read_entry(path: Path) -> None:
     _store(path).read("sky", "net", KEY)
 
@@ -274,6 +280,7 @@ TARGETS = (
     _file("net.pth", lambda path: torch.save({"model": torch.nn.Linear(2, 3).state_dict()}, path), load_state),
     _file("net.onnx", lambda path: channel_reader(path, 0), lambda path: open_session(path, "cpu", 1)),
     _file("map.ply", lambda path: write_ply(path, torch.randn(14, 30)), lambda path: command("map", str(path))),
+    Target("map_keyframes.npy", _map_and_keyframes, lambda folder: read_splats(folder / "map.ply", 9)),
     _file("words.npz", _vocabulary, load_vocabulary),
     _file("checkpoint/state.pt", _snapshot, lambda path: Checkpoints(path.parents[1], "same", 0.0).load()),
     _file(_in_cache_folder("sky"), _mask, _read_entry),

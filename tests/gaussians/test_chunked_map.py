@@ -16,7 +16,7 @@ from bench.gaussians.chunk_schedule import ChunkSchedule
 from bench.gaussians.chunked_map import ChunkDrawing, ChunkedMap
 from bench.gaussians.last_optimisation import LastOptimisation
 from bench.gaussians.map import GaussianMap
-from bench.gaussians.schema import LOG_SCALE, MEAN
+from bench.gaussians.schema import LOG_SCALE, MEAN, QUATERNION
 from bench.io.array_store import ArrayStore
 from bench.types import DepthMap, Keyframe, PinholeView, Trajectory
 from plugins.datasets.street import Street, StreetConfig
@@ -138,6 +138,22 @@ def test_the_sky_stays_in_memory_and_is_no_chunks(tmp_path: Path) -> None:
     split.freeze([3, 4, 5])
     assert split.live.sky == 6
     assert len(split) == 50 * FRAMES + 6
+
+
+def test_the_file_of_a_map_is_in_the_order_of_its_keyframes_numbers(tmp_path: Path) -> None:
+    live = GaussianMap(0, "cpu")
+    for number in (3, 5, 8):
+        T, planes = np.eye(4), torch.zeros(14, 4 + number)
+        T[2, 3] = planes[MEAN.start + 2] = number
+        planes[QUATERNION.start] = 1.0
+        live.add(number, T, planes, torch.ones(4 + number))
+    live.add_sky(np.zeros(3), torch.full((14, 6), -1.0), torch.ones(6), 1e-3)
+    split = ChunkedMap(live, ArrayStore(tmp_path), ChunkDrawing(1e3, 1e3, 10.0, 0.01, 0.05, 0.0))
+    split.freeze([3, 5])
+    split.save(tmp_path / "map.ply")
+    depths = GaussianMap.load(tmp_path / "map.ply").planes[MEAN.start + 2]
+    assert len(split.live) == 12 + 6
+    assert split.keyframes_of_all().tolist() == depths.round().int().tolist()
 
 
 def test_a_neighbour_that_is_damaged_no_longer_takes_part(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,20 +18,6 @@ from bench.report.pages import map_page, site
 from tests.report.conftest import HOSTILE
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
-_CHROMIUM = Path(os.environ.get("BGS_CHROMIUM") or "/usr/bin/chromium")
-# The tests may run as root, and no GPU is needed.
-_OPTIONS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; make browser-test")
-    if not _CHROMIUM.is_file():
-        pytest.skip(f"there is no {_CHROMIUM}; install Chromium, or name it in BGS_CHROMIUM")
-    with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=str(_CHROMIUM), args=_OPTIONS)
-        yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")

@@ -34,6 +34,7 @@ STREET += (
 STREET += ("mapper.follow_corrections_m=0", "mapper.follow_corrections_deg=0", "mapper.prune_opacity=0.45")
 SAME_BYTES = (
     "map.ply",
+    "map_keyframes.npy",
     "events.jsonl",
     "trajectory.csv",
     "views/left/color/000005.png",

@@ -1,0 +1,1 @@
+"""``bgs-bench view``: a run in the browser."""
