@@ -44,6 +44,7 @@ NASTY = {
     "@SUM(A1)": "@SUM(A1)",
     "-x": "-x",
     "\t=1": "=1",
+    "\uff1dA1 \uff0b": "\uff1dA1 \uff0b",
     "# heading": "# heading",
     "- item": "- item",
     "1. first": "1. first",
@@ -189,7 +190,7 @@ def test_nasty_text_in_html() -> None:
 def test_nasty_text_in_csv() -> None:
     rows = list(csv.DictReader(io.StringIO(text_of(nasty(), "csv", Path("x")), newline="")))
     assert [row["text"].removeprefix("'") for row in rows] == list(NASTY.values())
-    assert not [row["text"] for row in rows if row["text"].startswith(("=", "+", "-", "@", "\t", "\r"))]
+    assert not [row["text"] for row in rows if row["text"].startswith(("=", "+", "-", "@", "\t", "\r", "\uff1d"))]
     numbers = Data(("a", "b", "c"), [{"a": -1.5, "b": "-2.5e-3", "c": -7}])
     assert text_of(replace(nasty(), data=numbers), "csv", Path()) == "a,b,c\n-1.5,-2.5e-3,-7\n"
 

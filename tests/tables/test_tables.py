@@ -179,6 +179,20 @@ def test_odd_values_do_not_stop_the_table(tmp_path: Path) -> None:
     assert "odd" in written("md", [row])
 
 
+def test_a_runs_text_stays_text_in_every_form(tmp_path: Path) -> None:
+    name, reason = """=1+1|<script>'"x""", '<script>hurt(1)</script> | "q"'
+    rows = [collect_row(make_run(tmp_path / name, "failed", None, reason))]
+    for form in ("html", "md"):
+        assert "<script" not in written(form, rows)
+        assert "&lt;script>" in written(form, rows).replace("&gt;", ">")
+    (run,) = csv.DictReader(io.StringIO(written("csv", rows)))
+    assert run["run"] == f"'{name}"
+    # The bar of the name parts no columns.
+    head, _, line = written("md", rows).splitlines()[:3]
+    assert line.replace(r"\|", "").count("|") == head.count("|")
+    assert r"=1+1$|$$<$script$>$" in written("tex", rows)
+
+
 def test_the_protocol_and_the_notes_stand_below_the_table(runs: Path) -> None:
     text = written("md", [collect_row(runs / "a_done")])
     assert "- Protocol: name heldout, alignment se3, depth\\_max\\_m none." in text

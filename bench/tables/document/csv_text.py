@@ -10,8 +10,8 @@ from typing import Any
 from bench.plain_text import plain_line
 from bench.tables.document.model import Data, Document, relative
 
-_FORMULA = ("=", "+", "-", "@")
-"""With these a spreadsheet begins to compute."""
+_FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
+"""With these, the last four full-width, a spreadsheet begins to compute."""
 
 
 def as_csv(document: Document) -> str:
