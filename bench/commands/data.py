@@ -105,7 +105,7 @@ def _get(args: argparse.Namespace) -> int:
         if is_here(root, data, archive, args.sequence):
             print(f"{archive.file}: is here")
             continue
-        size = f", about {archive.about_gb:g} GB" if archive.about_gb else ""
+        size = f", about {archive.about_gb:g} GB" if archive.about_gb and not options.mirror else ""
         print(f"{archive.file}: from {address(archive, options.mirror)}{size}")
         _fetch_with_bar(root, data, archive, args.sequence, options)
     print(f"{root / data.folder}; check it: bgs-bench data check {root / data.folder}")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -110,7 +110,7 @@ def fetch(
     unverified = "   (not verified: its publisher tells no sum; recorded, and compared from now on)"
     say(f"{got}  {archive.file}{'' if sha256 else unverified}")
     try:
-        files = unpack(place, root / data.folder, placing(archive, sequences))
+        files = _unpack(place, root / data.folder, archive, sequences)
         if not files:
             raise BenchError(f"{archive.file} holds nothing that belongs to {data.name}: it is not the expected file.")
     except NoRoomError:
@@ -127,6 +127,21 @@ def fetch(
     if not options.keep:
         place.unlink()
     say(f"{archive.file}: {len(files)} files in {root / data.folder}")
+
+
+def _unpack(place: Path, folder: Path, archive: Archive, sequences: Sequence[str]) -> list[PurePosixPath]:
+    files = unpack(place, folder, placing(archive, sequences))
+    if not archive.inner:
+        return files
+    inside: list[PurePosixPath] = []
+    for each in files:
+        zipped = folder / each
+        try:
+            found = unpack(zipped, zipped.parent, placing(replace(archive, anchor=archive.inner, inner=""), ()))
+        finally:
+            zipped.unlink()
+        inside += [each.parent / path for path in found]
+    return inside
 
 
 def _expected(root: Path, data: DataSet, archive: Archive, options: FetchOptions) -> tuple[str, str]:
@@ -151,7 +166,7 @@ def placing(archive: Archive, sequences: Sequence[str]) -> Callable[[PurePosixPa
 
     def place(path: PurePosixPath) -> PurePosixPath | None:
         at = next((i for i, part in enumerate(path.parts) if anchor.fullmatch(part)), None)
-        if at is None or path.name in archive.without:
+        if at is None or path.name in archive.without or (archive.inner and path.suffix != ".zip"):
             return None
         if archive.sequence_in and sequences:
             of = re.search(archive.sequence_in, str(path))

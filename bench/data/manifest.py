@@ -18,10 +18,11 @@ class Archive:
     """One file to download.
 
     ``anchor`` is a regular expression of the folder (or file) in the archive that belongs right below ``into``;
-    what lies outside of such a folder is not unpacked, and neither are files called as in ``without``. ``part`` is what
-    the user asks for: "" comes always. ``sequence`` is the only one that it holds; where it holds several,
-    ``sequence_in`` finds, as its group, the one that a path belongs to. ``size`` is in bytes, where it is known
-    exactly; ``about_gb`` is told beforehand. ``sha256`` is that which the publisher tells, or "".
+    what lies outside of such a folder is not unpacked, and neither are files called as in ``without``. ``inner`` is the
+    anchor in zip files that the archive holds: they alone are taken, and unpacked where they lie. ``part`` is what the
+    user asks for: "" comes always. ``sequences`` are those that it holds, where a data set comes in many archives;
+    where it holds several, ``sequence_in`` finds, as its group, the one that a path belongs to. ``size`` is in bytes,
+    where it is known exactly; ``about_gb`` is told beforehand. ``sha256`` is that which the publisher tells, or "".
     """
 
     file: str
@@ -29,12 +30,13 @@ class Archive:
     anchor: str
     into: str = ""
     part: str = ""
-    sequence: str = ""
+    sequences: tuple[str, ...] = ()
     sequence_in: str = ""
     without: tuple[str, ...] = ()
     about_gb: float | None = None
     size: int | None = None
     sha256: str = ""
+    inner: str = ""
 
 
 @dataclass(frozen=True)
@@ -72,10 +74,10 @@ class DataSet:
                     f"{self.name} has no sequence '{sequence}' to get; it has {there}."
                     f"{did_you_mean(sequence, self.sequences)}"
                 )
-        if not sequences and any(archive.sequence for archive in self.archives):
+        if not sequences and any(archive.sequences for archive in self.archives):
             raise BenchError(f"{self.name} comes by sequence: give --sequence, of {there}.")
         wanted = [archive for archive in self.archives if not archive.part or archive.part in parts]
-        return tuple(archive for archive in wanted if not archive.sequence or archive.sequence in sequences)
+        return tuple(archive for archive in wanted if not archive.sequences or {*archive.sequences} & {*sequences})
 
 
 _S3 = "https://s3.eu-central-1.amazonaws.com"
@@ -90,6 +92,10 @@ _DRIVES = {
     "10": "2011_09_30_drive_0034",
 }
 _KITTI360_SEQUENCES = ("0000", "0002", "0003", "0004", "0005", "0006", "0007", "0009", "0010")
+_EUROC_SEQUENCES = (
+    *("MH_01_easy", "MH_02_easy", "MH_03_medium", "MH_04_difficult", "MH_05_difficult"),
+    *("V1_01_easy", "V1_02_medium", "V1_03_difficult", "V2_01_easy", "V2_02_medium", "V2_03_difficult"),
+)
 _TUM = {
     "freiburg1": ("rgbd_dataset_freiburg1_desk", "rgbd_dataset_freiburg1_xyz", "rgbd_dataset_freiburg1_room"),
     "freiburg2": ("rgbd_dataset_freiburg2_xyz", "rgbd_dataset_freiburg2_desk"),
@@ -114,7 +120,7 @@ def _kitti_raw() -> tuple[Archive, ...]:
     base, dates = f"{_S3}/avg-kitti/raw_data", sorted({drive[:10] for drive in _DRIVES.values()})
     calibrations = (Archive(f"{date}_calib.zip", f"{base}/{date}_calib.zip", r"\d{4}_\d\d_\d\d") for date in dates)
     drives = (
-        Archive(f"{drive}_sync.zip", f"{base}/{drive}/{drive}_sync.zip", r"\d{4}_\d\d_\d\d", sequence=number)
+        Archive(f"{drive}_sync.zip", f"{base}/{drive}/{drive}_sync.zip", r"\d{4}_\d\d_\d\d", sequences=(number,))
         for number, drive in _DRIVES.items()
     )
     return (*calibrations, *drives)
@@ -124,7 +130,7 @@ def _kitti360() -> tuple[Archive, ...]:
     base, drive = f"{_S3}/avg-projects/KITTI-360", r"2013_05_28_drive_\d{4}_sync"
 
     def one(place: str, anchor: str, into: str = "", part: str = "", sequence: str = "") -> Archive:
-        return Archive(place.rpartition("/")[2], f"{base}/{place}", anchor, into, part, sequence)
+        return Archive(place.rpartition("/")[2], f"{base}/{place}", anchor, into, part, (sequence,) if sequence else ())
 
     images = (
         one(f"data_2d_raw/2013_05_28_drive_{each}_sync_image_{side}.zip", drive, "data_2d_raw", "images", each)
@@ -148,6 +154,21 @@ def _kitti360() -> tuple[Archive, ...]:
     )
 
 
+def _euroc(room: str, begins: str, bitstream: str, size: int) -> Archive:
+    url = f"https://www.research-collection.ethz.ch/server/api/core/bitstreams/{bitstream}/content"
+    sequence = r"[MV][H12]_\d\d_[a-z]+"
+    return Archive(
+        f"{room}.zip",
+        url,
+        sequence,
+        sequences=tuple(each for each in _EUROC_SEQUENCES if each.startswith(begins)),
+        sequence_in=rf"(?:^|/)({sequence})/",
+        about_gb=round(size / 1e9, 1),
+        size=size,
+        inner="mav0",
+    )
+
+
 def _vkitti2(what: str, ending: str = "tar", gb: float | None = None) -> Archive:
     file = f"vkitti_2.0.3_{what}.{ending}"
     url = f"https://download.europe.naverlabs.com//virtual_kitti_2.0.3/{file}"
@@ -157,7 +178,7 @@ def _vkitti2(what: str, ending: str = "tar", gb: float | None = None) -> Archive
 def _tum() -> tuple[Archive, ...]:
     base = "https://cvg.cit.tum.de/rgbd/dataset"
     return tuple(
-        Archive(f"{name}.tgz", f"{base}/{camera}/{name}.tgz", name, sequence=name)
+        Archive(f"{name}.tgz", f"{base}/{camera}/{name}.tgz", name, sequences=(name,))
         for camera, names in _TUM.items()
         for name in names
     )
@@ -265,12 +286,14 @@ def manifest() -> tuple[DataSet, ...]:
             "EuRoC MAV, grey stereo with an IMU",
             "euroc",
             "euroc",
-            "https://projects.asl.ethz.ch/datasets/euroc-mav/",
+            "https://doi.org/10.3929/ethz-b-000690084",
             "free for research",
-            by_hand=(
-                "machine_hall.zip (12.7 GB), vicon_room1.zip (6.0 GB) or vicon_room2.zip from there; the archive of a "
-                "sequence lies inside, as MH_01_easy/MH_01_easy.zip: unpack that to MH_01_easy/mav0",
+            (
+                _euroc("machine_hall", "MH", "7b2419c1-62b5-4714-b7f8-485e5fe3e5fe", 12683729426),
+                _euroc("vicon_room1", "V1", "02ecda9a-298f-498b-970c-b7c44334d880", 6042263426),
+                _euroc("vicon_room2", "V2", "ea12bc01-3677-4b4c-853d-87c7870b8c44", 6013384949),
             ),
+            sequences=_EUROC_SEQUENCES,
         ),
         DataSet(
             "tartanair",

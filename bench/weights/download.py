@@ -78,6 +78,7 @@ class _Part:
         self._validator = target.with_name(f".{target.name}.version")
         self._resumable = resumable
         self.wanted, self.setting = size, setting
+        self.by_browser = f"If a browser gets the file from there, save it as {target} and give the command again."
 
     @property
     def size(self) -> int:
@@ -143,7 +144,7 @@ def _fetch_rest(url: str, part: _Part, report: Report | None, timeout_s: float) 
             raise _CutError("the server has another file now") from error
         if error.code >= 500:
             raise _CutError(f"the server answered {error.code}") from error
-        text = f"{url}: the server answered {error.code} {error.reason}. Open the address in a browser."
+        text = f"{url}: the server answered {error.code} {error.reason}. {part.by_browser}"
         raise BenchError(text) from error
     except urllib.error.URLError as error:
         raise _CutError(str(error.reason)) from error
@@ -155,7 +156,7 @@ def _fetch_rest(url: str, part: _Part, report: Report | None, timeout_s: float) 
 
 def _receive(answer: http.client.HTTPResponse, part: _Part, report: Report | None) -> None:
     if answer.headers.get_content_type() == "text/html":
-        raise BenchError(f"{answer.url} gave a web page, not a file. Open the address in a browser.")
+        raise BenchError(f"{answer.url} gave a web page, not a file. {part.by_browser}")
     start = part.size if answer.status == http.HTTPStatus.PARTIAL_CONTENT else 0
     if start and not answer.headers.get("Content-Range", "").startswith(f"bytes {start}-"):
         part.remove()

@@ -39,7 +39,7 @@ _ROTATION_TOLERANCE = 1e-2
 class EurocConfig(PluginConfig):
     """Which sequence of EuRoC, and at which size."""
 
-    root: str = field(default="", metadata={"path": True})
+    root: str = field(default="", metadata={"path": True, "data": "euroc"})
     """Folder that holds the sequences, or one of them; empty: euroc in $BGS_DATA."""
     sequence: str = "V1_01_easy"
     """Folder of the sequence, which holds ``mav0/``."""

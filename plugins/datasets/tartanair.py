@@ -62,7 +62,7 @@ _LAYOUTS = (
 class TartanAirConfig(PluginConfig):
     """Which trajectory of TartanAir."""
 
-    root: str = field(default="", metadata={"path": True})
+    root: str = field(default="", metadata={"path": True, "data": "tartanair"})
     """Folder that holds the environments; empty: tartanair in $BGS_DATA."""
     sequence: str = ""
     """Folder of the trajectory in ``root``, such as hospital/Easy/P000; empty: ``root`` itself."""

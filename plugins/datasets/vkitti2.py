@@ -40,7 +40,7 @@ Rows = dict[tuple[int, int], Float]
 class Vkitti2Config(PluginConfig):
     """Which scene of Virtual KITTI 2, and in which weather."""
 
-    root: str = field(default="", metadata={"path": True})
+    root: str = field(default="", metadata={"path": True, "data": "vkitti2"})
     """Folder that holds the scenes, ``Scene01/`` and so on; empty: vkitti2 in $BGS_DATA."""
     sequence: str = "Scene01"
     """Scene01, 02, 06, 18 or 20, the copies of KITTI tracking's drives of these numbers."""

@@ -9,6 +9,7 @@ import shutil
 import tarfile
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,12 +25,12 @@ COLOR = next(archive for archive in KITTI.archives if archive.part == "color")
 CALIB = next(archive for archive in KITTI.archives if "calib" in archive.file)
 
 
-def archive_of(files: dict[str, bytes]) -> bytes:
+def archive_of(files: dict[str, bytes], top: str = "dataset/") -> bytes:
     """A zip file as KITTI's are."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as bundle:
         for name, content in files.items():
-            bundle.writestr(f"dataset/{name}", content)
+            bundle.writestr(f"{top}{name}", content)
     return file.getvalue()
 
 
@@ -200,6 +201,35 @@ def test_no_room_to_unpack_keeps_what_was_downloaded(
     with pytest.raises(BenchError, match="needs more space than is free"):
         fetch(tmp_path, KITTI, CALIB, [], options(server))
     assert left_in(tmp_path) == [f".downloads/kitti/{CALIB.file}", "fetched.json"]
+
+
+def test_archives_in_an_archive(server: CuttingServer, tmp_path: Path) -> None:
+    """EuRoC: a zip file and a ROS bag of each sequence in one zip file of the room."""
+    euroc = entry("euroc")
+    hall = replace(next(each for each in euroc.archives if each.file == "machine_hall.zip"), size=None)
+    names = ["mav0/cam0/data.csv", "mav0/cam0/data/1.png", "__MACOSX/._mav0"]
+    inner = archive_of(dict.fromkeys(names, b"content"), top="")
+    sequences = {f"{name}/{name}{end}": inner for name in ("MH_01_easy", "MH_02_easy") for end in (".zip", ".bag")}
+    server.content = archive_of(sequences)
+    fetch(tmp_path, euroc, hall, ["MH_01_easy"], options(server))
+    camera = "euroc/MH_01_easy/mav0/cam0"
+    assert left_in(tmp_path) == [f"{camera}/data.csv", f"{camera}/data/1.png", "fetched.json"]
+    assert is_here(tmp_path, euroc, hall, ["MH_01_easy"])
+    server.content, server.etag = archive_of({name: inner[:-30] for name in sequences}), '"two"'
+    (tmp_path / "fetched.json").unlink()
+    with pytest.raises(BenchError, match=r"MH_02_easy\.zip is damaged"):
+        fetch(tmp_path, euroc, hall, ["MH_02_easy"], options(server))
+    assert len(left_in(tmp_path)) == 2
+
+
+def test_a_page_instead_of_the_file_says_where_a_browser_may_put_it(server: CuttingServer, tmp_path: Path) -> None:
+    server.content_type = "text/html"
+    place = tmp_path / ".downloads" / "kitti" / COLOR.file
+    with pytest.raises(BenchError, match=rf"gave a web page, not a file\..* save it as {place} and give"):
+        fetch(tmp_path, KITTI, COLOR, ["06"], options(server))
+    place.write_bytes(GOOD)
+    fetch(tmp_path, KITTI, COLOR, ["06"], options(server))
+    assert is_here(tmp_path, KITTI, COLOR, ["06"])
 
 
 def test_sums_as_sha256sum_writes_them(tmp_path: Path) -> None:

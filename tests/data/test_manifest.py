@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from bench import registry
 from bench.data.fetch import placing
 from bench.data.manifest import DataSet, entry, manifest
 from bench.errors import BenchError
@@ -17,6 +18,7 @@ DATA_SETS = [pytest.param(data, id=data.name) for data in manifest()]
 
 @pytest.mark.parametrize("data", DATA_SETS)
 def test_an_entry_is_consistent(data: DataSet) -> None:
+    assert data.loader in registry.names("dataset")
     assert bool(data.archives) != bool(data.by_hand)
     assert data.page.startswith("https://")
     assert data.licence
@@ -24,10 +26,11 @@ def test_an_entry_is_consistent(data: DataSet) -> None:
     assert len(set(files)) == len(files)
     for archive in data.archives:
         url = urlsplit(archive.url)
-        assert (url.scheme, PurePosixPath(url.path).name) == ("https", archive.file)
+        assert url.scheme == "https"
+        assert PurePosixPath(url.path).name == ("content" if data.name == "euroc" else archive.file)
         re.compile(archive.anchor)
         assert not archive.sequence_in or re.compile(archive.sequence_in).groups == 1
-        assert not archive.sequence or archive.sequence in data.sequences
+        assert set(archive.sequences) <= set(data.sequences)
     assert set(data.parts) <= {archive.part for archive in data.archives}
 
 
@@ -65,6 +68,10 @@ def test_no_two_share_a_folder() -> None:
         ("replica", "Replica.zip", "office0", "Replica/office0/results/frame000000.jpg",
          "office0/results/frame000000.jpg"),
         ("replica", "Replica.zip", "office0", "__MACOSX/Replica/._office0", None),
+        ("euroc", "machine_hall.zip", "MH_01_easy", "machine_hall/MH_01_easy/MH_01_easy.zip",
+         "MH_01_easy/MH_01_easy.zip"),
+        ("euroc", "machine_hall.zip", "MH_01_easy", "machine_hall/MH_01_easy/MH_01_easy.bag", None),
+        ("euroc", "machine_hall.zip", "MH_01_easy", "machine_hall/MH_02_easy/MH_02_easy.zip", None),
         ("kitti2015", "data_scene_flow.zip", "", "training/image_2/000000_10.png", "training/image_2/000000_10.png"),
         ("kitti2015", "data_scene_flow.zip", "", "testing/image_2/000000_10.png", None),
     ],
@@ -86,6 +93,8 @@ def test_what_is_chosen() -> None:
     assert files("kitti_raw", [], ["08"])[-1:] == ["2011_09_30_drive_0028_sync.zip"]
     images = [f"2013_05_28_drive_0007_sync_image_{side}.zip" for side in ("00", "01")]
     assert files("kitti360", [], ["0007"])[-2:] == images
+    assert files("euroc", [], ["V1_01_easy", "V1_02_medium"]) == ["vicon_room1.zip"]
+    assert files("euroc", [], ["V2_01_easy", "MH_01_easy"]) == ["machine_hall.zip", "vicon_room2.zip"]
     for name, parts, sequences, message in (
         ("kitti", ["colour"], [], r"kitti has no part 'colour'; it has color, gray, velodyne\. Did you mean 'color'"),
         ("kitti", [], ["6"], r"kitti has no sequence '6' to get; it has 00, 01"),
