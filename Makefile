@@ -13,7 +13,7 @@ ifneq ($(wildcard ../shared/weights),)
 export BGS_WEIGHTS ?= $(abspath ../shared/weights)
 endif
 
-.PHONY: install run test quick check fuzz bench sanitize gpu-check map-viewer browser-test docs clean
+.PHONY: install run test quick check fuzz bench sanitize gpu-check map-viewer browser-test docs wheels wheel-test clean
 
 install: $(STAMP)
 
@@ -47,6 +47,16 @@ check: $(TESTING)
 docs: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+
+# Source archive, and the wheel that it builds, into dist/.
+wheels: $(STAMP)
+	rm -rf dist
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt build
+	$(BIN)/python -m build
+
+# The wheel in an empty environment outside the checkout. WHOLE=--whole installs the dependencies there too.
+wheel-test: wheels
+	$(BIN)/python -m tools.wheel_check $(WHOLE) dist/*.whl
 
 # A thousand spoilt files of all kinds; `make test` tries a hundred.
 fuzz: $(TESTING)
@@ -84,4 +94,4 @@ browser-test: $(TESTING)
 	$(BIN)/python -m pytest -m browser tests/report tests/viewers
 
 clean:
-	rm -rf $(VENV) build
+	rm -rf $(VENV) build dist

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from bench.saved_map import load_map
     from bench.tables.frame import load_runs
 
+DISTRIBUTION = "bgs-slam-bench"
+"""What this package is installed as."""
+
 __all__ = ["load_map", "load_runs", "run"]
 
 _PLACES = {

@@ -10,11 +10,11 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from bench import DISTRIBUTION
 from bench.deferred_imports import defer
 from bench.errors import BenchError
 from bench.terminal import output_error, print_anywhere, tell
 
-_DISTRIBUTION = "bgs-slam-bench"
 _NOBODY_READS = 141  # 128 + SIGPIPE, as other programs end then
 COMMANDS = (
     *("run", "list", "table", "reproduce", "evaluate", "score", "map", "view", "compare", "report", "figure", "video"),
@@ -91,7 +91,7 @@ class _Parser(argparse.ArgumentParser):
 def parser_of(commands: Sequence[str]) -> argparse.ArgumentParser:
     """The parser of ``bgs-bench`` with these sub-commands; each is imported for it."""
     parser = _Parser(prog="bgs-bench", description="Benchmark stereo 3D Gaussian Splatting SLAM outdoors.")
-    parser.add_argument("--version", action="version", version=f"bgs-bench {importlib.metadata.version(_DISTRIBUTION)}")
+    parser.add_argument("--version", action="version", version=f"bgs-bench {importlib.metadata.version(DISTRIBUTION)}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in commands:
         importlib.import_module(f"bench.commands.{command.replace('-', '_')}").add_parser(subparsers)

@@ -24,7 +24,7 @@ def code_version(plugin: type) -> str:
     are told apart by their versions, elsewhere. The imports are read from the source text, so lazy ones count too.
     """
     own = plugin.__module__.partition(".")[0]
-    counted = tuple(prefix for prefix in (own, *_FRAMEWORK) if prefix != "bench")
+    counted = tuple(prefix for prefix in (own, "bench.builtin", *_FRAMEWORK) if prefix != "bench")
     seen: dict[str, str] = {}
     pending = [(plugin.__module__, Path(inspect.getfile(plugin)))]
     while pending:

@@ -13,9 +13,13 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
-import plugins as builtin_plugins
 from bench.errors import BenchError
 from bench.registry import KINDS, Plugin, broken_files
+
+# The project's own plugins. Where they are installed they lie in bench: `plugins` may be anybody's there.
+builtin_plugins = importlib.import_module(
+    "bench.builtin.plugins" if (Path(__file__).parent / "builtin").is_dir() else "plugins"
+)
 
 ENTRY_POINT_GROUP = "bgs_bench.plugins"
 FOLDER_OF_KIND = {
@@ -64,7 +68,10 @@ def is_builtin(plugin: Plugin) -> bool:
 @cache
 def load_evaluators() -> None:
     """Import the evaluators under ``plugins/`` alone, which is quick: tables ask them for their metrics."""
-    _load_package("plugins.evaluators", [str(Path(place) / "evaluators") for place in builtin_plugins.__path__])
+    _load_package(
+        f"{builtin_plugins.__name__}.evaluators",
+        [str(Path(place) / "evaluators") for place in builtin_plugins.__path__],
+    )
 
 
 def _load_package(name: str, places: Iterable[str]) -> None:

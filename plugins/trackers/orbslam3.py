@@ -67,7 +67,7 @@ class OrbSlam3(PeerTracker):
     def __init__(self, config: OrbSlam3Config) -> None:
         self._config = config
         limits = PeerLimits(config.start_timeout_s, config.timeout_s, config.restarts)
-        super().__init__("orbslam3", [sys.executable, "-P", "-m", "plugins.trackers.orbslam3_process"], limits)
+        super().__init__("orbslam3", [sys.executable, "-P", "-m", f"{__package__}.orbslam3_process"], limits)
 
     @classmethod
     def unavailable_reason(cls) -> str | None:

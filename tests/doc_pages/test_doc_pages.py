@@ -9,7 +9,7 @@ from string import Template
 import pytest
 
 from bench import registry
-from bench.cli import COMMANDS
+from bench.cli import COMMANDS, parser_of
 from tools.doc_pages.links import LINK, for_site
 
 ROOT = Path(__file__).parents[2]
@@ -56,3 +56,10 @@ def test_links_follow_files_to_where_the_site_has_them() -> None:
     assert (
         for_site("[a](docs/guide/page.md#x) [b](CHANGELOG.md)", "README.md") == "[a](guide/page.md#x) [b](changelog.md)"
     )
+
+
+def test_every_command_shows_examples_in_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in COMMANDS:
+        with pytest.raises(SystemExit, match="0"):
+            parser_of([command]).parse_args([command, "--help"])
+        assert f"\n  bgs-bench {command}" in capsys.readouterr().out, f"{command} --help has no example"

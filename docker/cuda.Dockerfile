@@ -1,0 +1,17 @@
+# bgs-bench with gsplat on NVIDIA GPUs; nvcc stays in the image, since gsplat builds its kernels when it is first used:
+#   docker build -f docker/cuda.Dockerfile -t bgs-bench:cuda .
+#   docker run --rm --gpus all -v "$PWD/results:/work/results" bgs-bench:cuda run mapper.rasterizer=gsplat
+FROM nvidia/cuda:12.8.1-devel-ubuntu24.04
+RUN apt-get update && apt-get install -y --no-install-recommends g++ make git ninja-build python3 python3-dev python3-venv \
+    && rm -rf /var/lib/apt/lists/* && useradd --create-home bench && mkdir /work && chown bench /work
+WORKDIR /source
+COPY . .
+# A torch of the same CUDA comes from the index of the environment (PIP_INDEX_URL, PIP_EXTRA_INDEX_URL). No constraints: they
+# were tested with a torch for CPUs.
+ARG PIP_EXTRA_INDEX_URL
+RUN python3 -m venv /opt/bgs-bench && /opt/bgs-bench/bin/pip install --no-cache-dir '.[cuda]'
+ENV PATH=/opt/bgs-bench/bin:$PATH TORCH_EXTENSIONS_DIR=/home/bench/.cache/torch_extensions
+USER bench
+WORKDIR /work
+ENTRYPOINT ["bgs-bench"]
+CMD ["--help"]
