@@ -17,7 +17,7 @@ _COMMANDS = (
     ["run", *_TINY, "system=bgs_slam_fast"],
     ["table"],
     ["table", "main_kitti"],
-    ["reproduce", "ablation", "dataset.root=nowhere", "--dry-run"],
+    ["reproduce", "small_motion", "--dry-run"],
     ["new-plugin", "stereo", "my_net"],
     ["run", *_TINY, "stereo=my_net", "plugins=[my_plugins]", "mapper=none"],
 )

@@ -70,5 +70,7 @@ def _table(settings: list[Setting], prefix: str) -> str:
         meaning = setting.meaning.replace("``", "`").replace("|", "\\|").replace("\n", " ").replace("<", "&lt;")
         kind = f"*{setting.type}*. " if setting.type else ""
         kind = kind.replace("|", "\\|")
-        rows.append(f"| `{prefix}{setting.name}` | `{typed(setting.default)}` | {kind}{meaning} |")
+        default = typed(setting.default)
+        shown = f"`{default}`" if default else ""
+        rows.append(f"| `{prefix}{setting.name}` | {shown} | {kind}{meaning} |")
     return "\n".join(rows)
