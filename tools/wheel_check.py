@@ -10,16 +10,16 @@ import venv
 from pathlib import Path
 from zipfile import ZipFile
 
-_TINY = ["dataset.frames=3", "dataset.width=160", "dataset.height=64", "mapper.iterations=2"]
+_TINY = ["dataset.frames=3", "dataset.width=160", "dataset.height=64", "mapper.iterations=2", "system=bgs_slam_fast"]
 _COMMANDS = (
     ["--version"],
     ["list"],
-    ["run", *_TINY, "system=bgs_slam_fast"],
+    ["run", *_TINY],
     ["table"],
     ["table", "main_kitti"],
     ["reproduce", "small_motion", "--dry-run"],
     ["new-plugin", "stereo", "my_net"],
-    ["run", *_TINY, "stereo=my_net", "plugins=[my_plugins]", "mapper=none"],
+    ["run", *_TINY, "stereo=my_net", "plugins=[my_plugins]"],
 )
 _FOREIGN = "raise RuntimeError('the package of another distribution was imported')\n"
 
