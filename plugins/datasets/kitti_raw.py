@@ -94,13 +94,15 @@ class KittiRaw(Dataset):
 
     @classmethod
     def sequences_in(cls, root: Path) -> Iterator[SequenceOnDisk]:
-        """Each pair of cameras of each drive."""
-        for folder in sorted((*root.glob("*_drive_*_sync"), *root.glob("*/*_drive_*_sync"))):
+        """Each pair of cameras of each drive; of a drive in both forms the one that is read."""
+        forms = (f"{day}*_drive_*_{form}" for form in ("extract", "sync") for day in ("", "*/"))
+        drives = {folder.name.rpartition("_")[0]: folder for form in forms for folder in root.glob(form)}
+        for drive, folder in sorted(drives.items()):
             scans = folder / "velodyne_points" / "data"
             for pair, cameras in _PAIRS.items():
                 images = tuple(folder / f"image_0{camera}" / "data" for camera in cameras)
                 if any(each.is_dir() for each in images):
-                    settings = {"sequence": folder.name.removesuffix("_sync"), "camera": pair}
+                    settings = {"sequence": drive, "camera": pair}
                     yield SequenceOnDisk(settings, (*images, scans))
 
     def lacks(self) -> tuple[str, ...]:

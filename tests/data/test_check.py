@@ -16,7 +16,11 @@ from bench.data.kitti_layout import write_kitti as write_as_kitti
 from bench.errors import BenchError
 from plugins.datasets.kitti import Kitti, KittiConfig
 from plugins.datasets.street import Street, StreetConfig
+from tests.datasets.kitti360_disk import write_kitti360
 from tests.datasets.kitti_disk import write_kitti
+from tests.datasets.kitti_raw_disk import write_raw
+from tests.datasets.rgbd_disk import replica, tum
+from tests.datasets.test_euroc import write_euroc
 
 
 def checked(root: Path, loader: str = "kitti", **options: object) -> list[Verdict]:
@@ -59,6 +63,32 @@ def test_what_is_wrong_is_told_by_file(tmp_path: Path, damage: Callable[[Path], 
     for said, pattern in zip(first.wrong, wrong, strict=True):
         assert re.search(pattern, said), said
     assert second.wrong == ()
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "wrong"),
+    [
+        (write_raw, "kitti_raw 2011_09_26_drive_0005 color", ""),
+        (write_kitti360, "kitti360 0002", ""),
+        (tum, "tum_rgbd rgbd_dataset_handheld", "tells none of TUM's cameras"),
+        (replica, "replica office7", "the published camera is of 1200x680"),
+        (write_euroc, "euroc V9_01_made_up", ""),
+    ],
+)
+def test_each_layout_is_known_by_its_loader_alone(
+    make: Callable[[Path], Path], name: str, wrong: str, tmp_path: Path
+) -> None:
+    make(tmp_path)
+    (verdict,) = checked(tmp_path, "")
+    assert (verdict.name, bool(verdict.wrong)) == (name, bool(wrong))
+    assert wrong in " ".join(verdict.wrong)
+
+
+def test_unrectified_drives_are_of_the_wrong_kind(tmp_path: Path) -> None:
+    folder = write_raw(tmp_path)
+    folder.rename(folder.with_name(folder.name.replace("_sync", "_extract")))
+    (verdict,) = checked(tmp_path, "kitti_raw")
+    assert "0005_extract holds unrectified images. Download 2011_09_26_drive_0005_sync.zip" in verdict.wrong[0]
 
 
 def test_all_decodes_what_the_middle_hides(tmp_path: Path) -> None:
