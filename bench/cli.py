@@ -18,7 +18,7 @@ from bench.terminal import output_error, print_anywhere, tell
 _NOBODY_READS = 141  # 128 + SIGPIPE, as other programs end then
 COMMANDS = (
     *("run", "list", "table", "reproduce", "evaluate", "score", "map", "view", "compare", "report", "figure", "video"),
-    *("stereo-eval", "vocabulary", "data", "weights", "cache", "new-plugin", "check-plugin", "doctor"),
+    *("stereo-eval", "vocabulary", "data", "weights", "cache", "new-plugin", "check-plugin", "doctor", "completion"),
 )
 """Each is a module in ``bench.commands``, in the order of ``--help``."""
 

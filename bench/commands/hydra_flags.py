@@ -26,8 +26,7 @@ _INSTEAD = {
     "`bgs-bench doctor` what is installed",
     ("--config-name", "-cn"): _OWN_CONFIG,
     ("--config-path", "-cp"): _OWN_CONFIG,
-    ("--shell-completion", "-sc"): "there is no shell completion; `bgs-bench list KIND` and `bgs-bench list KIND NAME` "
-    "show what can be typed",
+    ("--shell-completion", "-sc"): "`bgs-bench completion` prints a script for bash and zsh",
     ("--hydra-help",): "`bgs-bench run --help` shows the flags, `bgs-bench list run` the settings",
     ("--experimental-rerun",): "`bgs-bench run --from RUN_FOLDER` makes a run again from its config",
 }

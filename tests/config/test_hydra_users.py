@@ -90,7 +90,7 @@ def test_hydras_own_settings_are_answered_with_what_to_type(setting: str, instea
         (["run", "--info"], "--info: `bgs-bench list run`"),
         (["run", "-cn", "x"], "-cn: the root config is the bench's own"),
         (["run", "--config-path=x"], "--config-path: the root config"),
-        (["run", "-sc", "install=bash"], "-sc: there is no shell completion"),
+        (["run", "-sc", "install=bash"], "-sc: `bgs-bench completion` prints"),
         (["reproduce", "ablation", "--hydra-help"], "--hydra-help: `bgs-bench run --help`"),
         (["run", "--cfg", "hydra"], "--cfg hydra: a run has no config of Hydra's own; --cfg job prints the run's."),
         (["run", "--resolve"], "--resolve goes with --print-config or --cfg job."),
