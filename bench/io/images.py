@@ -204,12 +204,20 @@ def read_rgb(path: Path, size: tuple[int, int], bits: int = _FULL_BITS) -> Image
     return np.asarray(image, dtype=np.uint8)
 
 
+def decode_png(content: bytes, size: tuple[int, int]) -> npt.NDArray[Any] | None:
+    """The stored values (H, W) or (H, W, C), of 8 or 16 bits, blue first, of a PNG of this ``size`` (width, height).
+
+    None for anything else; the size is that of the header, before anything is unpacked.
+    """
+    header = content[:8] == _PNG_START and tuple(int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if header == size else None
+
+
 def read_16_bit(path: Path, size: tuple[int, int], what: str) -> npt.NDArray[np.uint16]:
     """The stored values (H, W) of a 16-bit PNG of one channel; raises ``BenchError`` for anything else, and another
     ``size`` (width, height). ``what`` is such a file: "KITTI stores disparities"."""
     with reading(path, "can't be read as an image", "Copy or unpack it again."):
-        content = np.frombuffer(read_plain(path, _MOST_BYTES), np.uint8)
-        stored = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+        stored = decode_png(read_plain(path, _MOST_BYTES), size)
     if stored is None or stored.dtype != np.uint16 or stored.shape != size[::-1]:
         raise BenchError(f"{path} is no 16-bit PNG of {size[0]}x{size[1]} pixels, as {what}. Unpack it again.")
     return np.asarray(stored, np.uint16)

@@ -68,9 +68,10 @@ def read_rig(first: Path, second: Path | None, size: Size, model: str = "", unit
         rig = replace(rig, left=replace(rig.left, model=model), right=replace(rig.right, model=model))
     T = rig.T_right_left.copy()
     T[:3, 3] *= unit_m
-    if (apart := float(np.linalg.norm(T[:3, 3]))) > _FARTHEST_M or apart == 0:
+    if not 0 < (apart := float(np.linalg.norm(T[:3, 3]))) <= _FARTHEST_M:
         raise BenchError(
-            f"{first}: the cameras are {apart:g} m apart. Is the calibration in millimetres (dataset.unit_m=0.001)?"
+            f"{first}: the cameras are {apart:g} m apart. Is it of one camera, or in millimetres "
+            "(dataset.unit_m=0.001)?"
         )
     return replace(rig, T_right_left=T)
 
@@ -114,7 +115,7 @@ def _of_ros(paths: Sequence[Path], contents: Sequence[Mapping[str, Any]], size: 
     cameras, turns, projections = [], [], []
     for path, content in zip(paths, contents, strict=True):
         named = {long: _either(path, content, long, short) for long, short in _ROS_KEYS.items()}
-        _require_size(str(path), [float(named["image_width"]), float(named["image_height"])], size)
+        _require_size(str(path), [*_flat(path, named, "image_width"), *_flat(path, named, "image_height")], size)
         K = _matrix(path, named, "camera_matrix", (3, 3))
         model = str(content.get("distortion_model", "plumb_bob"))
         distortion = _flat(path, named, "distortion_coefficients")
@@ -122,7 +123,7 @@ def _of_ros(paths: Sequence[Path], contents: Sequence[Mapping[str, Any]], size: 
         cameras.append(_camera(K, distortion or (0.0,) * 4, _MODELS.get(model, model), size, where))
         turns.append(_rotation(path, "rectification_matrix", _matrix(path, named, "rectification_matrix", (3, 3))))
         P = _matrix(path, named, "projection_matrix", (3, 4))
-        if not (P[0, 0] > 0 and P[1, 1] > 0):
+        if not (P[0, 0] > 0 and P[1, 1] > 0 and P[2, 2] > 0):
             raise BenchError(f"{path}: the projection_matrix is none. Save the calibration after it was computed.")
         projections.append(np.linalg.solve(P[:, :3], P[:, 3]))
     # In the rectified axes, which both cameras share, the right camera's points are the left one's moved.
@@ -238,7 +239,7 @@ def _flat(where: Path | str, content: Mapping[str, Any], key: str) -> tuple[floa
         raise BenchError(f"{where}: {key} is missing. Restore the file.")
     try:
         return tuple(np.asarray(value, dtype=np.float64).reshape(-1).tolist())
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise BenchError(f"{where}: {key} holds something that is no number. Restore the file.") from None
 
 

@@ -141,10 +141,11 @@ def _existing(config: EurocConfig) -> Path:
 
 def _ns(text: str, path: Path, line: int) -> int:
     """A time as whole ns, without a detour by floats: of ns, or of seconds since 1970."""
-    if not re.fullmatch(r"\d{1,19}(\.\d+)?", text):
+    time = Decimal(text) if re.fullmatch(r"\d{1,19}(\.\d+)?", text) else Decimal(-1)
+    ns = int(time) if time >= _LEAST_NS else int(time * 10**9)
+    if not 0 <= ns < 2**63:
         raise BenchError(f"{path}, line {line}: {text[:40]!r} is no time in ns or seconds. Restore the file.")
-    time = Decimal(text)
-    return int(time) if time >= _LEAST_NS else int(time * 10**9)
+    return ns
 
 
 def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from bench.contracts.dataset import Dataset, SequenceOnDisk
@@ -15,7 +14,7 @@ from bench.errors import BenchError, require_between
 from bench.geometry import se3
 from bench.io.foreign import read_plain, reading
 from bench.io.frame_range import select_frames
-from bench.io.images import nearest_pixels
+from bench.io.images import decode_png, nearest_pixels
 from bench.io.numpy_files import read_npy
 from bench.io.stereo_images import StereoImages, images_by_number
 from bench.io.trajectories import known_poses, read_poses_without_times
@@ -169,10 +168,9 @@ def _read_depth(path: Path, size: tuple[int, int]) -> Map:
         if path.suffix == ".npy":
             depth = read_npy(path, _MOST_BYTES)
         else:
-            content = np.frombuffer(read_plain(path, _MOST_BYTES), np.uint8)
-            stored = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+            stored = decode_png(read_plain(path, _MOST_BYTES), size)
             if stored is None or stored.dtype != np.uint8 or stored.shape[2:] != (4,):
-                raise ValueError("it is no PNG of four channels of 8 bits")
+                raise ValueError(f"it is no PNG of {size[0]}x{size[1]} pixels and four channels of 8 bits")
             depth = np.ascontiguousarray(stored).view("<f4")[..., 0]
     if depth.shape != size[::-1] or depth.dtype != np.float32:
         raise BenchError(

@@ -153,10 +153,11 @@ def _read_rows(path: Path, columns: tuple[str, ...], numbers: tuple[int, ...]) -
     rows: Rows = {}
     for number, words in enumerate(lines[1:], start=2):
         try:
-            frame, camera, *values = (float(words[column]) for column in at)
+            frame, camera = (int(words[column]) for column in at[:2])
+            values = [float(words[column]) for column in at[2:]]
         except (ValueError, IndexError):
             raise BenchError(f"{path}, line {number}: no row of numbers for this header. Unpack it again.") from None
-        rows[int(frame), int(camera)] = np.array(values)
+        rows[frame, camera] = np.array(values)
     for key in ((number, camera) for number in numbers for camera in (0, 1)):
         if key not in rows or not np.isfinite(rows[key]).all():
             raise BenchError(f"{path} has no numbers of frame {key[0]}, camera {key[1]}. Unpack it again.")

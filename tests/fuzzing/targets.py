@@ -35,13 +35,20 @@ from bench.tracking.loops.vocabulary import load as load_vocabulary
 from bench.tracking.loops.vocabulary import train
 from bench.types import TrackingResult, Trajectory
 from bench.viewers.splats import read_splats
+from plugins.datasets.euroc import Euroc, EurocConfig
 from plugins.datasets.kitti import Kitti, KittiConfig
 from plugins.datasets.kitti360 import Kitti360, Kitti360Config
 from plugins.datasets.replica import Replica, ReplicaConfig
+from plugins.datasets.rig import Rig, RigConfig
+from plugins.datasets.tartanair import TartanAir, TartanAirConfig
 from plugins.datasets.tum_rgbd import TumRgbd, TumRgbdConfig
+from plugins.datasets.vkitti2 import Vkitti2, Vkitti2Config
+from tests.datasets.euroc_disk import TRUTH, write_euroc, write_truth
 from tests.datasets.kitti360_disk import drive_of, write_kitti360
 from tests.datasets.kitti_disk import write_kitti
+from tests.datasets.rendered_disk import write_tartanair, write_vkitti2
 from tests.datasets.rgbd_disk import OWN, replica, tum
+from tests.datasets.rig_disk import FORMATS, LEFT, T_right_left, right_of
 from tests.evaluation.tiny_run import write_tiny_run
 from tests.external.foreign_case import COUNT, HEIGHT, WIDTH, curve, dataset, write_depth, write_poses, write_renders
 from tests.stereo.tiny_onnx import channel_reader
@@ -234,6 +241,49 @@ def _read_replica(root: Path) -> None:
     _read_dataset(Replica(ReplicaConfig(root=str(root), sequence="office7", **OWN)))
 
 
+def _euroc(root: Path) -> None:
+    shutil.rmtree(root / "V9_01_made_up", ignore_errors=True)
+    write_truth(write_euroc(root))
+
+
+def _read_euroc(root: Path) -> None:
+    _read_dataset(Euroc(EurocConfig(root=str(root), sequence="V9_01_made_up")))
+
+
+def _read_vkitti2(root: Path) -> None:
+    _read_dataset(Vkitti2(Vkitti2Config(root=str(root), sequence="Scene02", variation="rain")))
+
+
+def _read_tartanair(root: Path) -> None:
+    _read_dataset(TartanAir(TartanAirConfig(root=str(root), sequence="hospital/Easy/P001")))
+
+
+def _rig(root: Path) -> None:
+    """Blank pictures, the calibrations of every format, and a video with both images."""
+    for name, write in FORMATS.items():
+        (root / name).mkdir(exist_ok=True)
+        write(root / name, LEFT["radtan"], right_of(LEFT["radtan"]), T_right_left(0.3))
+    for side in ("left", "right"):
+        (root / side).mkdir(exist_ok=True)
+        assert cv2.imwrite(str(root / side / "0.png"), np.full((192, 640), 90, np.uint8))
+    writer = cv2.VideoWriter(str(root / "both.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 20.0, (1280, 192))
+    for _ in range(3):
+        writer.write(np.full((192, 1280, 3), 90, np.uint8))
+    writer.release()
+
+
+def _rig_reader(
+    calibration: str, second: str | None = None, left: str = "left", right: str = "right"
+) -> Callable[[Path], object]:
+    def read(root: Path) -> None:
+        other = None if second is None else str(root / second)
+        given = {"calibration": str(root / calibration), "second_calibration": other, "model": "radtan"}
+        pictures = {"left": str(root / left), "right": right and str(root / right)}
+        _read_dataset(Rig(RigConfig(**given, **pictures)))
+
+    return read
+
+
 def _read_dataset(dataset: Dataset) -> None:
     dataset.frame(0)
     dataset.lidar_depth(0)
@@ -263,6 +313,15 @@ _KITTI360_FILES = (
 _KITTI_FILES = ("calib.txt", "times.txt", "image_2/000000.png", "velodyne/000000.bin")
 _TUM_FILES = ("rgb.txt", "groundtruth.txt", "depth/10.015.png")
 _REPLICA_FILES = ("traj.txt", "results/depth000000.png")
+_EUROC_FILES = ("cam0/data.csv", "cam1/sensor.yaml", TRUTH)
+_VKITTI2_FILES = ("extrinsic.txt", "intrinsic.txt", "frames/depth/Camera_0/depth_00000.png")
+_TARTANAIR_FILES = ("pose_left.txt", "depth_left/000000_left_depth.npy")
+_RIG_FILES = {
+    "OpenCV/stereo.yml": _rig_reader("OpenCV/stereo.yml"),
+    "Kalibr/camchain.yaml": _rig_reader("Kalibr/camchain.yaml"),
+    "ROS/right_info.yaml": _rig_reader("ROS/left_info.yaml", "ROS/right_info.yaml"),
+    "both.avi": _rig_reader("Kalibr/camchain.yaml", None, "both.avi", ""),
+}
 _TRAJECTORY = Trajectory(curve(FRAMES), FRAMES, TIMES)
 
 TARGETS = (
@@ -293,5 +352,9 @@ TARGETS = (
     *(Target(name, write_kitti360, _read_kitti360) for name in _KITTI360_FILES),
     *(Target(f"rgbd_dataset_handheld/{name}", tum, _read_tum) for name in _TUM_FILES),
     *(Target(f"office7/{name}", replica, _read_replica) for name in _REPLICA_FILES),
+    *(Target(f"V9_01_made_up/mav0/{name}", _euroc, _read_euroc) for name in _EUROC_FILES),
+    *(Target(f"Scene02/rain/{name}", write_vkitti2, _read_vkitti2) for name in _VKITTI2_FILES),
+    *(Target(f"hospital/Easy/P001/{name}", write_tartanair, _read_tartanair) for name in _TARTANAIR_FILES),
+    *(Target(name, _rig, read) for name, read in _RIG_FILES.items()),
     *(Target(f"theirs/{name}", _their_output, _read_output) for name in _THEIR_FILES),
 )

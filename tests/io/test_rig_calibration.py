@@ -59,6 +59,7 @@ def edited(path: str, old: str, new: str) -> None:
         ("OpenCV", "M1:", "M9:", "has none of M1, K1, cameraMatrix1"),
         ("OpenCV", "(?s)R: .*", "", r"lacks R and T of the right camera.*dataset\.second_calibration=FILE"),
         ("ROS", "projection_matrix:", "projection_matrix: [1]\nmore:", "projection_matrix is no matrix of 3x4"),
+        ("ROS", "image_width: 640", "image_width: [six, 4]", "image_width holds something that is no number"),
         ("ROS", "rectification_matrix", "gone", r"left_info.yaml lacks rectification_matrix"),
     ],
 )  # fmt: skip
@@ -74,7 +75,7 @@ def test_what_is_wrong_in_a_file_is_said(name: str, old: str, new: str, message:
     ("name", "without", "message"),
     [
         ("OpenCV", "model", r"four distortion coefficients may be .* dataset\.model=radtan or dataset\.model"),
-        ("OpenCV in two files", "unit_m", r"the cameras are 300 m apart\. Is the calibration in millimetres"),
+        ("OpenCV in two files", "unit_m", r"the cameras are 300 m apart\. Is it of one camera, or in millimetres"),
         ("ROS", "second_calibration", r"is of one camera alone\. Give the right camera's camera_info too"),
         ("EuRoC", "second_calibration", r"is of one camera alone\. Give the right camera's sensor\.yaml too"),
     ],
