@@ -14,7 +14,7 @@ from rich.progress import BarColumn, DownloadColumn, MofNCompleteColumn, Progres
 from bench import registry
 from bench.config import compose_run
 from bench.data.check import CheckOptions, Verdict, check_folder, verdict_on
-from bench.data.fetch import FetchOptions, address, fetch, is_here, read_sums
+from bench.data.fetch import FetchOptions, address, fetch, is_here, read_record, read_sums
 from bench.data.kitti_layout import write_kitti
 from bench.data.manifest import Archive, DataSet, entry, manifest
 from bench.data.places import data_root
@@ -70,16 +70,18 @@ _MIRROR = "the folder of the archives on a server of yours, in place of the publ
 def _list(args: argparse.Namespace) -> int:
     root = data_root()
     print(f"folder: {root}{'' if os.environ.get('BGS_DATA') else '  (set $BGS_DATA for another)'}")
+    record = read_record(root)
     for data in manifest():
-        here = sum(is_here(root, data, archive, ()) for archive in data.archives)
         there = "" if not (root / data.folder).is_dir() else f"; here: {root / data.folder}"
         print(f"{data.name}: {data.about}; licence: {data.licence}{there}")
         if data.by_hand:
-            print(f"    by hand, from {data.page}: {'; '.join(data.by_hand)}")
+            print(f"    by hand, from {data.page} below {root / data.folder}: {'; '.join(data.by_hand)}")
             continue
-        print(
-            f"    `bgs-bench data get {data.name}`, {here} of {len(data.archives)} archives fetched; page: {data.page}"
-        )
+        print(f"    `bgs-bench data get {data.name}`; page: {data.page}")
+        for archive in data.archives:
+            if known := record.get(f"{data.name}/{archive.file}"):
+                of_it = "" if known.of_all else f", of it {', '.join(known.unpacked)}"
+                print(f"    fetched: {archive.file}{of_it}")
         parts = list(dict.fromkeys(archive.part for archive in data.archives if archive.part))
         if parts:
             print(f"    parts: {', '.join(parts)}; without --part: {', '.join(data.parts)}")

@@ -19,7 +19,6 @@ from bench.io.atomic import write_json
 from bench.io.file_lock import exclusive
 from bench.io.foreign import reading
 from bench.io.json_files import load_json
-from bench.weights.checksum import sha256_of
 from bench.weights.download import Report, download
 
 _RECORD = "fetched.json"
@@ -37,6 +36,11 @@ class Fetched:
     url: str
     unpacked: list[str]
     witness: str
+
+    @property
+    def of_all(self) -> bool:
+        """Whether all sequences in the archive were unpacked."""
+        return _ALL in self.unpacked
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ def is_here(root: Path, data: DataSet, archive: Archive, sequences: Sequence[str
     known = read_record(root).get(_key(data, archive))
     if known is None or not (root / data.folder / known.witness).is_file():
         return False
-    return _ALL in known.unpacked or (bool(sequences) and set(sequences) <= set(known.unpacked))
+    return known.of_all or (bool(sequences) and set(sequences) <= set(known.unpacked))
 
 
 def fetch(
@@ -90,20 +94,41 @@ def fetch(
 ) -> None:
     """Download and unpack one archive (of several sequences in it those asked for); ``say`` gets a line of what came.
 
-    Raises ``BenchError``; of a file that is not the right one nothing is left.
+    One process at a time; one that waited finds it here. Raises ``BenchError``; of a file that is not the right one
+    nothing is left.
     """
+    place = root / _DOWNLOADS / data.name / archive.file
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with exclusive(place.with_name(f".{place.name}.unpacking.lock")):
+            if not is_here(root, data, archive, sequences):
+                _fetch(root, data, archive, sequences, options, report, say)
+    except OSError as error:
+        raise BenchError(
+            f"Can't write below {root}: {error.strerror or error}. Make room, or set $BGS_DATA to another folder."
+        ) from error
+
+
+def _fetch(
+    root: Path,
+    data: DataSet,
+    archive: Archive,
+    sequences: Sequence[str],
+    options: FetchOptions,
+    report: Report | None,
+    say: Callable[[str], None],
+) -> None:
     url = address(archive, options.mirror)
     place = root / _DOWNLOADS / data.name / archive.file
     sha256, whose = _expected(root, data, archive, options)
     try:
-        download(
+        got = download(
             *(url, place, sha256, report, options.tries, options.timeout_s, options.pause_s),
             size=archive.size,
             setting="$BGS_DATA",
         )
     except BenchError as error:
         raise BenchError(f"{error}{whose}" if "with SHA-256" in str(error) else str(error)) from error
-    got = sha256_of(place)
     if not got.startswith(sha256):  # kept from an earlier time, when another sum was expected
         place.unlink()
         raise BenchError(f"{place} had SHA-256 {got} instead of {sha256} and was removed.{whose}")
@@ -118,10 +143,6 @@ def fetch(
     except BenchError:
         place.unlink(missing_ok=True)
         raise
-    except OSError as error:
-        raise BenchError(
-            f"Can't unpack {place}: {error.strerror or error}. Make room, or set $BGS_DATA to a folder that has it."
-        ) from error
     unpacked = list(sequences) if archive.sequence_in and sequences else [_ALL]
     _remember(root, _key(data, archive), Fetched(got, place.stat().st_size, url, unpacked, str(files[-1])))
     if not options.keep:

@@ -38,8 +38,10 @@ def download(
     *,
     size: int | None = None,
     setting: str = "$BGS_CACHE",
-) -> None:
+) -> str:
     """Fetch ``url`` to ``target``, whole and verified, or not at all; what came of it stays beside for the next try.
+
+    Returns the SHA-256 of the file, also of one that lay there already and may be another.
 
     ``sha256`` holds the digits, or the leading ones, that are known, ``size`` the bytes of the file where those are;
     ``setting`` is where a user says that the file should go elsewhere. A connection that is cut is made again up to
@@ -50,7 +52,7 @@ def download(
         target.parent.mkdir(parents=True, exist_ok=True)
         with exclusive(target.with_name(f".{target.name}.lock")):
             if target.is_file():
-                return
+                return sha256_of(target)
             part = _Part(target, resumable=bool(sha256), size=size, setting=setting)
             _fetch_with_retries(url, part, report, tries, timeout_s, pause_s)
             if size is not None and part.size != size:
@@ -64,6 +66,7 @@ def download(
                 )
             os.replace(part.path, target)
             part.remove()
+            return got
     except OSError as error:
         raise BenchError(
             f"Can't write {target}: {error.strerror or error}. Check the folder and the free space, or set {setting}."

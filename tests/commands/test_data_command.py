@@ -62,7 +62,9 @@ def test_from_a_server_to_a_data_set_that_is_read(
     assert "kitti 04 color: can't be read: NOT whole\n    wrong: " in told
     assert main(["data", "list"]) == 0
     told = capsys.readouterr().out
-    assert f"here: {root / 'kitti_odometry'}\n    `bgs-bench data get kitti`, 2 of 5 archives fetched" in told
+    assert f"here: {root / 'kitti_odometry'}\n    `bgs-bench data get kitti`; page: https://www.cvlibs.net" in told
+    assert "    fetched: data_odometry_calib.zip\n" in told
+    assert "    fetched: data_odometry_color.zip, of it 04\n" in told
 
 
 def test_a_wrong_sum_is_exit_code_2_and_leaves_nothing(

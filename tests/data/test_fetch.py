@@ -9,6 +9,7 @@ import shutil
 import tarfile
 import zipfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -230,6 +231,21 @@ def test_a_page_instead_of_the_file_says_where_a_browser_may_put_it(server: Cutt
     place.write_bytes(GOOD)
     fetch(tmp_path, KITTI, COLOR, ["06"], options(server))
     assert is_here(tmp_path, KITTI, COLOR, ["06"])
+
+
+def test_two_processes_fetch_it_once(server: CuttingServer, tmp_path: Path) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        both = [pool.submit(fetch, tmp_path, KITTI, COLOR, ["06"], options(server)) for _ in range(2)]
+        for one in both:
+            one.result()
+    assert len(server.asked) == 1
+    assert is_here(tmp_path, KITTI, COLOR, ["06"])
+
+
+def test_a_folder_that_can_not_be_written(server: CuttingServer, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(BenchError, match=r"Can't write below .*file: Not a directory\. Make room, or set \$BGS_DATA"):
+        fetch(tmp_path / "file", KITTI, COLOR, ["06"], options(server))
 
 
 def test_sums_as_sha256sum_writes_them(tmp_path: Path) -> None:
