@@ -6,10 +6,9 @@ RUN apt-get update && apt-get install -y --no-install-recommends g++ make git ni
     && rm -rf /var/lib/apt/lists/* && useradd --create-home bench && mkdir /work && chown bench /work
 WORKDIR /source
 COPY . .
-# A torch of the same CUDA comes from the index of the environment (PIP_INDEX_URL, PIP_EXTRA_INDEX_URL). No constraints: they
-# were tested with a torch for CPUs.
-ARG PIP_EXTRA_INDEX_URL
-RUN python3 -m venv /opt/bgs-bench && /opt/bgs-bench/bin/pip install --no-cache-dir '.[cuda]'
+# gsplat wants a torch for the CUDA of the image; those of 2.8 and 2.9 are for 12.8. No constraints: they were tested with a torch
+# for CPUs.
+RUN python3 -m venv /opt/bgs-bench && /opt/bgs-bench/bin/pip install --no-cache-dir 'torch>=2.8,<2.10' '.[cuda]'
 ENV PATH=/opt/bgs-bench/bin:$PATH TORCH_EXTENSIONS_DIR=/home/bench/.cache/torch_extensions
 USER bench
 WORKDIR /work

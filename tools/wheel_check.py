@@ -59,7 +59,9 @@ def _environment(place: Path, wheel: Path, whole: bool) -> Path:
     """A new environment with the wheel; its folder of packages."""
     venv.create(place)
     install = [sys.executable, "-m", "pip", "--python", str(place / "bin/python"), "install", "--quiet"]
-    subprocess.run([*install, *([] if whole else ["--no-deps"]), str(wheel)], check=True)
+    subprocess.run(
+        [*install, *(["--constraint", "constraints.txt"] if whole else ["--no-deps"]), str(wheel)], check=True
+    )
     site = next(place.glob("lib/python*/site-packages"))
     if not whole:
         lent = [part for part in sys.path if part.endswith("-packages")]
