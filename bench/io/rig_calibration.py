@@ -46,6 +46,10 @@ class RigCalibration:
     right: DistortedCamera
     T_right_left: Float
 
+    def swapped(self) -> RigCalibration:
+        """The same rig with its cameras exchanged."""
+        return RigCalibration(self.right, self.left, se3.inverse(self.T_right_left))
+
 
 def read_rig(first: Path, second: Path | None, size: Size, model: str = "", unit_m: float = 1.0) -> RigCalibration:
     """The calibration in one file or two, for images of ``size`` (width, height).

@@ -41,6 +41,8 @@ class RigConfig(PluginConfig):
     must be given."""
     second_calibration: str | None = field(default=None, metadata={"path": True})
     """The right camera's file (ROS, EuRoC), or extrinsics.yml (OpenCV); null: one file holds all."""
+    swapped: bool = False
+    """The calibration's first camera (Kalibr's cam0) is the right one."""
     model: str = ""
     """Model of distortion, radtan or equidistant (fisheye); empty: as the calibration says. OpenCV's files do not."""
     unit_m: float = 1.0
@@ -89,6 +91,7 @@ class Rig(Dataset):
         calibration = read_rig(
             Path(config.calibration).expanduser(), second, self._pairs.size, config.model, config.unit_m
         )
+        calibration = calibration.swapped() if config.swapped else calibration
         self._rectification = Rectification(
             calibration.left,
             calibration.right,
