@@ -53,9 +53,9 @@ def test_links_follow_files_to_where_the_site_has_them() -> None:
     text = "[a](../../README.md) ![b](../images/b.png) [c](#d) [e](http://x.y/z) [f](../../results/tables/f.json#L3)"
     site = "[a](../index.md) ![b](../images/b.png) [c](#d) [e](http://x.y/z) [f](../results/tables/f.json#L3)"
     assert for_site(text, "docs/guide/page.md") == site
-    assert (
-        for_site("[a](docs/guide/page.md#x) [b](CHANGELOG.md)", "README.md") == "[a](guide/page.md#x) [b](changelog.md)"
-    )
+    text, site = "[a](docs/guide/page.md#x) [b](CHANGELOG.md)", "[a](guide/page.md#x) [b](changelog.md)"
+    assert for_site(text, "README.md") == site
+    assert for_site(r"| `a \| b` | c \| d |", "docs/page.md") == r"| `a | b` | c \| d |"
 
 
 def test_every_command_shows_examples_in_its_help(capsys: pytest.CaptureFixture[str]) -> None:

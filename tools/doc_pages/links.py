@@ -8,6 +8,7 @@ import re
 
 LINK = re.compile(r"(?<=\]\()(?P<target>[^)\s#]*)(?P<anchor>#[^)\s]*)?(?=\))")
 """The target and the anchor of a Markdown link or image."""
+_CODE = re.compile(r"`[^`\n]+`")
 AS_PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Files at the root that are pages of the site too."""
 
@@ -28,4 +29,5 @@ def for_site(text: str, file: str) -> str:
         whole = posixpath.normpath(posixpath.join(posixpath.dirname(file), target))
         return os.path.relpath(place_on_site(whole), page or ".") + (link["anchor"] or "")
 
-    return LINK.sub(rewritten, text)
+    # What readers of Markdown elsewhere want escaped in the code of a table's cell, MkDocs would show.
+    return _CODE.sub(lambda code: code[0].replace("\\|", "|"), LINK.sub(rewritten, text))
