@@ -13,10 +13,14 @@ from zipfile import ZipFile
 _TINY = ["dataset.frames=3", "dataset.width=160", "dataset.height=64", "mapper.iterations=2", "system=bgs_slam_fast"]
 _COMMANDS = (
     ["--version"],
+    ["--help"],
     ["list"],
+    ["data", "list"],
+    ["weights", "list"],
     ["run", *_TINY],
     ["table"],
     ["table", "main_kitti"],
+    ["report", "results/runs", "--maps", "0", "--views", "1"],
     ["reproduce", "small_motion", "--dry-run"],
     ["new-plugin", "stereo", "my_net"],
     ["run", *_TINY, "stereo=my_net", "plugins=[my_plugins]"],
