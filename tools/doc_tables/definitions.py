@@ -58,8 +58,8 @@ _MEASURED = (
 # Columns and rows of the short table.
 _SHORT = {
     "SETTINGS": "",
-    "train dB / SSIM / LPIPS": "PSNR / SSIM / LPIPS of mapped views",
-    "held-out left dB / SSIM": "of views never seen",
+    "train dB / SSIM / LPIPS": "PSNR dB / SSIM / LPIPS",
+    "held-out left dB / SSIM": "held-out views",
     "Depth-L1": "Depth-L1, cm",
     "ATE": "ATE",
     "memory": "memory",
