@@ -31,7 +31,7 @@ _FRAMES_PER_S = 10.0
 class Page:
     """A running server, which listens at ``url`` until ``stop``. Raises ``BenchError`` for a run without map or frames.
 
-    ``notes`` says in sentences what of the map is not shown as it is.
+    ``notes`` says how many Gaussians are shown, and what of the map is not shown as it is.
     """
 
     def __init__(self, saved: SavedRunFolder, host: str, port: int, most: int) -> None:
@@ -43,7 +43,7 @@ class Page:
             raise BenchError(f"{saved.path} has no tracked frame to look from.")
         self._mapped = np.isin(self._trajectory.numbers, saved.frames.loc[saved.frames["mapped"], "number"])
         self._splats = read_splats(map_file(saved), most)
-        self.notes = list(self._left_out())
+        self.notes = list(self._about_map())
         camera = saved.dataset.camera
         self._fov, self._aspect = 2 * float(np.arctan(camera.height / 2 / camera.fy)), camera.width / camera.height
         shown = self._trajectory.numbers[[0, len(self._trajectory) // 2, -1]].tolist()
@@ -80,10 +80,12 @@ class Page:
                 client.camera.wxyz, client.camera.position = _wxyz(pose), pose[:3, 3]
                 client.camera.fov = self._fov
 
-    def _left_out(self) -> Iterable[str]:
+    def _about_map(self) -> Iterable[str]:
         splats = self._splats
         if len(splats) < splats.whole:
             yield f"{len(splats):,} of {splats.whole:,} Gaussians, those that cover most; --max-gaussians N shows more"
+        else:
+            yield f"{len(splats):,} Gaussians"
         if splats.sh_degree:
             yield "colours do not change with the direction here, as they do where the map is rendered"
         if splats.keyframes is None:
@@ -131,7 +133,7 @@ class Page:
     def _add_controls(self) -> None:
         gui, numbers, last = self.server.gui, self._trajectory.numbers.tolist(), len(self._trajectory) - 1
         # As HTML, since Markdown would take what is in a path for its own signs.
-        gui.add_html(_as_html([f"{len(self._splats):,} Gaussians", *self.notes]))
+        gui.add_html(_as_html(self.notes))
         self._sky = gui.add_checkbox("Sky", True, visible=self._splats.sky > 0)
         cameras = gui.add_checkbox("Cameras", False)
         age = {"min": numbers[0], "max": max(numbers[-1], numbers[0] + 1), "step": 1, "initial_value": numbers[-1]}

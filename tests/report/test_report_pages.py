@@ -16,11 +16,12 @@ import pytest
 
 from bench.cli import main
 from bench.errors import BenchError
+from bench.evaluation.saved_run import SavedRunFolder
 from bench.report.pages import map_page, site
 from bench.report.pages.shown_run import read_shown_run
 from bench.tables.collect import collect_row
-from tests.evaluation.tiny_run import HELD_OUT, LEFT_ERROR, LOST
-from tests.report.conftest import HOSTILE
+from tests.evaluation.tiny_run import HELD_OUT, LEFT_ERROR, LOST, write_tiny_run
+from tests.report.conftest import HOSTILE, tiny_config
 
 
 class Page(HTMLParser):
@@ -229,6 +230,26 @@ def test_the_map_says_what_it_needs(tmp_path: Path, scored_run: Path, monkeypatc
     with pytest.raises(BenchError, match="splat-transform can't write"):
         map_page.write_map_page(["false"], tmp_path / "map.ply", None, tmp_path / "map.html")
     assert not (tmp_path / "map.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("mapper", "file", "said"),
+    [
+        ("gaussian", "", "map.ply is not there, so there is no map in 3D"),
+        ("gaussian", "link", "map.ply is not there, so there is no map in 3D"),
+        ("point_slam", "points.npz", "points.npz is no map of Gaussians as PLY"),
+        ("none", "", r"its mapper \(none\) saves none"),
+    ],
+)
+def test_what_is_no_map_in_3d(tmp_path: Path, mapper: str, file: str, said: str) -> None:
+    run = write_tiny_run(tmp_path / "run", tiny_config(mapper={"name": mapper}))
+    if file == "link":
+        (tmp_path / "map.ply").touch()
+        (run / "map.ply").symlink_to(tmp_path / "map.ply")
+    elif file:
+        (run / file).touch()
+    with pytest.raises(BenchError, match=said):
+        map_page.shown_map(SavedRunFolder(run))
 
 
 def test_the_makefile_installs_the_version_that_the_page_names() -> None:

@@ -9,11 +9,10 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from bench import registry
-from bench.contracts.mapper import Mapper
 from bench.errors import BenchError, first_line
 from bench.evaluation.saved_run import SavedRunFolder
 from bench.io.atomic import atomic_path
+from bench.saved_map import map_file
 from bench.types import Trajectory
 
 VERSION = "2.7.1"
@@ -41,18 +40,11 @@ def viewer() -> list[str]:
     return [node, str(program)]
 
 
-def map_file(saved: SavedRunFolder) -> Path:
-    """The map that the run's mapper saved; ``BenchError`` where it saves none, or none is there."""
-    mapping = saved.config.get("mapper")
-    name = str(mapping.get("name", "")) if isinstance(mapping, dict) else ""
-    if not name:
-        raise BenchError("This run has no mapper, so there is no map.")
-    saved.require("mapper", name)
-    mapper = registry.lookup("mapper", name).cls
-    assert issubclass(mapper, Mapper)
-    if mapper.map_file is None or not mapper.map_file.endswith(".ply"):
-        raise BenchError(f"The mapper {name} saves no map of Gaussians as PLY.")
-    path = saved.path / mapper.map_file
+def shown_map(saved: SavedRunFolder) -> Path:
+    """The PLY file with the run's map; ``BenchError`` where the mapper saves none, or none is there."""
+    path = map_file(saved)
+    if path.suffix != ".ply":
+        raise BenchError(f"{path} is no map of Gaussians as PLY, so there is no map in 3D.")
     if not path.is_file() or path.is_symlink():
         raise BenchError(f"{path} is not there, so there is no map in 3D: the run saves it at its end.")
     return path

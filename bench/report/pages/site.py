@@ -20,7 +20,7 @@ from bench.evaluation.saved_run import ProgressReport, SavedRunFolder
 from bench.io.atomic import write_bytes, write_text
 from bench.plain_text import plain_line
 from bench.report.pages.curves import curve_figure, curves_of, overlays, trajectory_figure
-from bench.report.pages.map_page import map_file, viewer, write_map_page
+from bench.report.pages.map_page import shown_map, viewer, write_map_page
 from bench.report.pages.paired import CONFIDENCE, pairs_of
 from bench.report.pages.pictures import (
     DEPTH_ERROR_RANGE,
@@ -154,7 +154,7 @@ def _write_map(run: ShownRun, page: Path) -> str:
         return "This run can't be read."
     try:
         trajectory = run.saved.trajectory if run.path is not None else None
-        write_map_page(viewer(), map_file(run.saved), trajectory, page)
+        write_map_page(viewer(), shown_map(run.saved), trajectory, page)
     except BenchError as error:
         return str(error)
     return ""
