@@ -1,5 +1,5 @@
-"""The bench as a Python package: ``bench.run``, ``bench.load_runs``, ``bench.load_map``. Importing it costs nothing:
-torch and the rest are imported when one of these is first asked for."""
+"""The bench as a Python package: ``bench.run``, ``score``, ``table``, ``load_runs`` and ``load_map``. Importing it
+costs nothing: torch and the rest are imported when one of these is first asked for."""
 
 from __future__ import annotations
 
@@ -9,16 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bench.commands.run import run_overrides as run
+    from bench.commands.score import score_saved as score
+    from bench.commands.table import table_document as table
     from bench.saved_map import load_map
     from bench.tables.frame import load_runs
 
 DISTRIBUTION = "bgs-slam-bench"
 """What this package is installed as."""
 
-__all__ = ["load_map", "load_runs", "run"]
+__all__ = ["load_map", "load_runs", "run", "score", "table"]
 
 _PLACES = {
     "run": ("bench.commands.run", "run_overrides"),
+    "score": ("bench.commands.score", "score_saved"),
+    "table": ("bench.commands.table", "table_document"),
     "load_runs": ("bench.tables.frame", "load_runs"),
     "load_map": ("bench.saved_map", "load_map"),
 }

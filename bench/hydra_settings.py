@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from hydra.core.override_parser.types import Override
 
@@ -82,3 +83,17 @@ def as_value(value: object) -> str:
 def _require_folder(folder: Path) -> None:
     if not folder.is_dir():
         raise BenchError(f"There is no folder {folder} with configs of yours (--config-dir). Create it, or correct it.")
+
+
+def typed_overrides(overrides: Sequence[str] | Mapping[str, Any]) -> list[str]:
+    """Overrides as typed, ``["stereo=sgbm"]``, also of a mapping, whose keys may be dotted and values mappings."""
+    return list(_typed(overrides)) if isinstance(overrides, Mapping) else list(overrides)
+
+
+def _typed(settings: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Settings as overrides; the items of a mapping are settings below it."""
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _typed(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}={as_value(str(value) if isinstance(value, Path) else value)}"

@@ -165,7 +165,13 @@ def names(kind: str) -> list[str]:
 
 
 def lookup(kind: str, name: str) -> Plugin:
-    """The plugin, or a ``BenchError`` that lists the names there are and the nearest one."""
+    """The plugin, or a ``BenchError`` that lists the names there are and the nearest one.
+
+    >>> from bench.discovery import load_plugins
+    >>> load_plugins()
+    >>> lookup("stereo", "sgbm").cls.__name__
+    'Sgbm'
+    """
     try:
         return _plugins[kind, name]
     except KeyError:

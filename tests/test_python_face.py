@@ -1,4 +1,5 @@
-"""``bench.run``, ``bench.load_runs`` and ``bench.load_map``: what the commands do, from Python."""
+"""``bench.run``, ``table``, ``load_runs`` and ``load_map``: what the commands do, from Python; ``bench.score`` is
+tested in tests/external."""
 
 from __future__ import annotations
 
@@ -13,9 +14,10 @@ import numpy as np
 import pytest
 
 import bench
-from bench.commands.run import _typed
+from bench.cli import main
 from bench.config import compose_run
 from bench.errors import BenchError
+from bench.hydra_settings import typed_overrides
 from bench.types import PinholeView
 from tests.short_runs import FEW_ITERATIONS, SMALL_STREET
 from tests.tables.fake_runs import config, make_run, metrics
@@ -52,7 +54,7 @@ def test_settings_as_a_mapping_are_those_that_are_typed() -> None:
         "seed": 1,
     }
     typed = ["stereo=sgbm", "mapper.iterations=3", "mapper.seeding.ground=false", "loss=[rgb,ssim]", "seed=1"]
-    assert compose_run(list(_typed(settings))).values == compose_run(typed).values
+    assert compose_run(typed_overrides(settings)).values == compose_run(typed).values
 
 
 def test_runs_as_a_frame(tmp_path: Path) -> None:
@@ -71,6 +73,26 @@ def test_runs_as_a_frame(tmp_path: Path) -> None:
     assert averaged["psnr_db_std"][0] == pytest.approx(2**0.5)
     with pytest.raises(BenchError, match="Nothing here is called like"):
         bench.load_runs(str(tmp_path / "x*"))
+
+
+def test_a_table_is_that_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, seed, psnr in (("a", 0, 20.0), ("b", 1, 22.0)):
+        make_run(tmp_path / name, config("06", seed=seed), metrics(1101, psnr_db=psnr, ate_rmse_m=0.5))
+    runs = bench.table(str(tmp_path / "[ab]"))
+    assert runs.frame()["psnr_db"].tolist() == [21.0]
+    assert runs.frame()["psnr_db_std"][0] == pytest.approx(2**0.5)
+    named = bench.table(tmp_path, name="main_kitti", columns="ours")
+    for table, arguments in ((runs, []), (named, ["main_kitti", "--columns", "ours"])):
+        for form in ("md", "csv", "tex"):
+            assert main(["table", *arguments, str(tmp_path), "--format", form]) == 0
+            assert table.text(form) == capsys.readouterr().out
+    numbers = named.frame()
+    assert numbers["by"].unique().tolist() == ["ours"]
+    of_06 = numbers[(numbers["sequence"] == "06") & (numbers["value"] != "")].set_index("metric")["value"]
+    assert of_06[["psnr_db", "ate_rmse_m"]].astype(float).tolist() == [21.0, 0.5]
+    for wrong in ({"name": "main_kiti"}, {"name": "main_kitti", "columns": "mine"}, {"views": "right"}):
+        with pytest.raises(BenchError, match=r"main_kitti|ours|named table"):
+            bench.table(tmp_path, **wrong)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("right", [False, True])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.rescore import copy_for
 from bench.evaluation.run_evaluators import evaluate_run
-from bench.evaluation.saved_run import SavedRunFolder
+from bench.evaluation.saved_run import ProgressReport, SavedRunFolder
 from bench.override_text import hydra_lines
 from bench.report.progress import scoring_progress
 from bench.tables.collect import collect_row
@@ -55,18 +56,24 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write ``metrics.json`` and ``per_frame.csv`` and print the run's row; ``BenchError`` for what is no run."""
     console = Console()
-    folder = args.folder
     chosen = [override for override in args.overrides if override.startswith("plugins=")]
     overrides = [override for override in args.overrides if override not in chosen]
     # Of the command line alone: code that the run folder names is a stranger's.
     load_plugins([*args.plugins, *plugin_folders(check_overrides(hydra_lines(chosen)))])
-    if args.out is not None and not overrides:
-        raise BenchError("--out is for scores under other settings; say which, for example protocol=paper.")
-    if overrides:
-        folder = copy_for(SavedRunFolder(args.folder), overrides, args.out)
     with scoring_progress(console) as show:
-        evaluate_run(folder, show)
+        folder = score_again(args.folder, overrides, args.out, show)
     print_table([collect_row(folder)], console)
     if overrides:
         say(f"run folder: {folder}", console)
     return 0
+
+
+def score_again(folder: Path, overrides: Sequence[str], out: Path | None, on_progress: ProgressReport) -> Path:
+    """Score the run in ``folder``, with ``overrides`` of protocol and evaluators in a folder of its own; the folder
+    that has these scores. Raises ``BenchError`` for what is no run, and settings that it can't be scored under."""
+    if out is not None and not overrides:
+        raise BenchError("--out is for scores under other settings; say which, for example protocol=paper.")
+    if overrides:
+        folder = copy_for(SavedRunFolder(folder), overrides, out)
+    evaluate_run(folder, on_progress)
+    return folder

@@ -26,7 +26,7 @@ from bench.commands.hydra_flags import (
 from bench.config import RunConfig, compose_run
 from bench.errors import BenchError
 from bench.evaluation.run_evaluators import evaluate_run
-from bench.hydra_settings import as_value
+from bench.hydra_settings import as_value, typed_overrides
 from bench.runs.config_file import CONFIG_FILE, RUNS_FOLDER
 from bench.runs.folder import LOG_FILE, METRICS_FILE
 from bench.runs.lock import only_one
@@ -125,19 +125,10 @@ def run_overrides(
     ``progress`` shows the bar. Raises ``BenchError`` for wrong input, and ``RunFailedError``, which is one, for a run
     that broke; what there is of it is in the folder.
     """
-    given = list(_typed(overrides)) if isinstance(overrides, Mapping) else list(overrides)
+    given = typed_overrides(overrides)
     if output is not None:
         given.append(f"output={as_value(str(output))}")
     return _run_one(compose_run(given), Console(quiet=not progress))
-
-
-def _typed(settings: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Settings as overrides; the items of a mapping are settings below it."""
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from _typed(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}={as_value(str(value) if isinstance(value, Path) else value)}"
 
 
 def _new_folder(config: RunConfig) -> Path:

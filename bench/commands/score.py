@@ -5,20 +5,24 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from bench.commands.evaluate import score_again
+from bench.discovery import load_plugins
 from bench.errors import BenchError
 from bench.evaluation.score import score_pair
 from bench.evaluation.trajectory import ALIGNMENTS
 from bench.evaluation.trajectory_pair import FORMATS, read_pair
 from bench.external.score import score_folder
 from bench.external.settings import AXES, CONVENTIONS, NUMBERS, STATES
+from bench.hydra_settings import typed_overrides
 from bench.override_text import quoted
 from bench.report.progress import scoring_progress
+from bench.runs.config_file import read_config
 from bench.tables.collect import Column, Row, about_lost_frames, collect_row, static_camera_of
 from bench.tables.render import print_table
 from bench.terminal import say
@@ -117,6 +121,41 @@ def run(args: argparse.Namespace) -> int:
         )
     _require_unused(args, _PAIR_ONLY, "goes with two files (--trajectory, --ground-truth), not with a folder")
     return _score_folder(Path(folders[0]), [item for item in args.overrides if item not in folders], args)
+
+
+def score_saved(
+    folder: str | Path,
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    *,
+    output: str | Path | None = None,
+    plugins: Sequence[str] = (),
+    progress: bool = False,
+    **settings: Any,
+) -> Path:
+    """Score a finished run again, as ``bgs-bench evaluate`` does, or another system's output, as ``bgs-bench score``
+    does; the run folder that has the scores (``metrics.json``; ``bench.load_runs`` reads it).
+
+    ``folder``: a run folder, whose scores are made again, under other ``overrides`` of protocol and evaluators in a
+    folder beside it; or another system's output, with ``overrides`` for data set, protocol and evaluators, and
+    ``settings`` that say how to read it: ``name="MonoGS"`` and all others of ``ScoreSettings``, which go over
+    ``score.yaml`` in the folder. ``overrides`` as for ``bench.run``. ``output``: where the scores go. ``plugins``:
+    folders with plugins that are needed; those that a run folder names are not looked into. ``progress`` shows the bar,
+    and what was found. Raises ``BenchError`` for wrong input, before anything is written.
+    """
+    folder, given, console = Path(folder), typed_overrides(overrides), Console(quiet=not progress)
+    if not folder.is_dir():
+        raise BenchError(f"There is no folder {folder} to score. Check the path.")
+    load_plugins(plugins)
+    with scoring_progress(console) as show:
+        if read_config(folder) is not None:
+            if settings:
+                raise BenchError(
+                    f"{next(iter(settings))} is for another system's output, and {folder} is a run folder."
+                )
+            return score_again(folder, given, None if output is None else Path(output), show)
+        if output is not None:
+            given.append(f"output={quoted(output)}")
+        return score_folder(folder, given, settings, lambda line: say(line, console), show).path
 
 
 def _require_unused(args: argparse.Namespace, names: Sequence[str], why: str) -> None:

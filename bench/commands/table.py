@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from bench.errors import BenchError, did_you_mean
+from bench.errors import BenchError, did_you_mean, require_choice
 from bench.runs.config_file import RUNS_FOLDER
-from bench.tables.document.forms import FORMS, form_of, save, text_of
-from bench.tables.frame import rows_at
+from bench.tables.document.forms import FORMS, form_of, save
+from bench.tables.document.model import Document
+from bench.tables.frame import expanded, rows_at
 from bench.tables.named.find import table_names
 from bench.tables.named.grid import COLUMNS
 from bench.tables.named.records import read_runs
@@ -103,14 +105,37 @@ def run(args: argparse.Namespace) -> int:
     rows = rows_at(paths)
     document = runs_document(rows)
     if args.format and not args.out:
-        print(text_of(document, args.format, Path()), end="")
+        print(document.text(args.format), end="")
         return 0
     console = Console()
     print_table(rows, console)
     for path, form in forms.items():
-        text = text_of(document, form, path.parent) if form else record_text(read_runs(paths))
+        text = document.text(form, path.parent) if form else record_text(read_runs(paths))
         _write(path, text, console)
     return 0
+
+
+def table_document(
+    *places: str | Path,
+    name: str | None = None,
+    views: str | None = None,
+    columns: str = "both",
+    plugins: Sequence[str] = (),
+) -> Document:
+    """The table that ``bgs-bench table`` makes of the runs in ``places``: ``text("tex")`` writes it, ``frame()`` has
+    its numbers, ``notes`` what stands below it.
+
+    ``places`` as for ``bench.load_runs``. ``name``: one of the paper's tables ("main_kitti"), or one in a folder of
+    ``plugins``; None: a row per run. Of a named table, ``views`` says whose image metrics ("left", "heldout", "right";
+    None: a record file's own, else left), ``columns`` whose numbers ("ours", "paper" or "both"). Raises ``BenchError``
+    for another name or value, and for a place that holds no run.
+    """
+    paths = [path for place in places for path in expanded(str(place))]
+    if name is not None:
+        return make_table(name, paths, views, plugins, require_choice("columns", columns, COLUMNS)).document
+    if views is not None or columns != "both":
+        raise BenchError("views and columns are for a named table; say its name too, or leave them out.")
+    return runs_document(rows_at(paths))
 
 
 def _named(name: str, runs: list[Path], args: argparse.Namespace) -> int:

@@ -31,6 +31,11 @@ def depth_l1_cm(rendered: Map, lidar: Map, min_m: float, max_m: float | None) ->
     the rendered depth is not limited. A pixel where nothing was rendered (NaN or 0) counts as depth 0, its full LiDAR
     depth as error: leaving it out would reward holes. NaN and 0 when no pixel counts.
     Source: the paper's "Depth L1", on the mask and range that it leaves open.
+
+    >>> lidar = np.array([[10.0, 20.0, np.nan, 90.0]], np.float32)
+    >>> rendered = np.array([[10.5, 19.75, 7.0, np.nan]], np.float32)
+    >>> depth_l1_cm(rendered, lidar, 0.0, 80.0)  # 50 cm and 25 cm off; the third has no return, the fourth is too far
+    (37.5, 2)
     """
     if rendered.shape != lidar.shape:
         raise BenchError(

@@ -84,7 +84,13 @@ class DisparityScore:
 
 
 def score_disparity(estimate: Map, truth: Map) -> DisparityScore:
-    """Score one map; both are (H, W) float32 in px, NaN = unknown. Raises ``BenchError`` when the sizes differ."""
+    """Score one map; both are (H, W) float32 in px, NaN = unknown. Raises ``BenchError`` when the sizes differ.
+
+    >>> truth = np.array([[10.0, 10.0, 10.0, np.nan]], np.float32)
+    >>> score = score_disparity(np.array([[10.5, 15.5, np.nan, 7.0]], np.float32), truth)
+    >>> score.filled.epe_px, score.filled.d1_percent, score.holes
+    (3.0, 50.0, 1)
+    """
     if estimate.shape != truth.shape:
         raise BenchError(
             f"The disparity is {estimate.shape[1]}x{estimate.shape[0]} and its truth {truth.shape[1]}x"

@@ -27,7 +27,12 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 def psnr(image: Image, reference: Image) -> float:
-    """PSNR in dB of two uint8 images (H, W, 3), joint over pixels and channels, capped at 100 dB (identical images)."""
+    """PSNR in dB of two uint8 images (H, W, 3), joint over pixels and channels, capped at 100 dB (identical images).
+
+    >>> black = np.zeros((4, 4, 3), np.uint8)
+    >>> round(psnr(black + np.uint8(51), black), 3)  # 20 log10(255 / 51)
+    13.979
+    """
     _check(image, reference)
     squared = cv2.norm(image, reference, cv2.NORM_L2SQR)
     if squared == 0.0:
@@ -42,6 +47,10 @@ def ssim(image: Image, reference: Image) -> float:
     use_sample_covariance=False, data_range=1, channel_axis=-1)``; this is about ten times as fast. Raises
     ``BenchError`` for images of less than 11 pixels on a side.
     Source: Wang et al., "Image quality assessment", IEEE TIP 2004, Eq. 13.
+
+    >>> image = np.random.default_rng(0).integers(0, 256, (16, 16, 3), dtype=np.uint8)
+    >>> round(ssim(image, image), 6), round(ssim(image, 255 - image), 1) < 0
+    (1.0, True)
     """
     _check(image, reference)
     if min(image.shape[:2]) < 2 * _RADIUS + 1:

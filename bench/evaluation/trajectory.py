@@ -55,6 +55,11 @@ def umeyama(estimate: Float, reference: Float, with_scale: bool = False) -> tupl
     place, R is one of several best ones; the errors are the same for each of them. An estimate all in one place has no
     scale: s is then NaN.
     Source: Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991.
+
+    >>> corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    >>> R, t, scale = umeyama(corner, 2 * corner + [5, 0, 0], with_scale=True)
+    >>> bool(np.allclose(R, np.eye(3))), t.round(6).tolist(), round(scale, 6)
+    (True, [5.0, 0.0, 0.0], 2.0)
     """
     mean_estimate, mean_reference = estimate.mean(axis=0), reference.mean(axis=0)
     centred = estimate - mean_estimate
@@ -100,6 +105,13 @@ def absolute_trajectory_error(estimate: Trajectory, ground_truth: Trajectory, al
     ``alignment`` as in ``align``. Centres are the translations of ``T_world_cam``. Lost frames are absent from the
     estimate: they don't enter, and are counted elsewhere.
     Source: Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", IROS 2012, Sec. V.
+
+    >>> T = np.tile(np.eye(4), (4, 1, 1))
+    >>> T[:, 2, 3] = [0, 1, 2, 3]  # forward, a metre per frame
+    >>> truth = Trajectory(T.copy(), np.arange(4), np.arange(4.0))
+    >>> T[:, 1, 3] = [0.3, -0.3, 0.3, -0.3]  # and 0.3 m up and down
+    >>> absolute_trajectory_error(Trajectory(T, truth.numbers, truth.timestamps), truth, "none").rmse_m
+    0.3
     """
     found = align(estimate, ground_truth, alignment)
     if isinstance(found, str):

@@ -82,18 +82,24 @@ def read_settings(folder: Path, options: Mapping[str, Any]) -> ScoreSettings:
     """
     path = folder / SETTINGS_FILE
     written = _read_yaml(path) if path.exists() else {}
+    given = {key: value for key, value in options.items() if value is not None}
+    _check(str(path), written)
+    _check("score", given)
+    return ScoreSettings(**written | given)
+
+
+def _check(where: str, settings: Mapping[str, Any]) -> None:
     accepted = {each.name: each for each in fields(ScoreSettings)}
-    for key, value in written.items():
+    for key, value in settings.items():
         if key not in accepted:
             raise BenchError(
-                f"{path}: there is no setting '{key}'; there are {', '.join(accepted)}."
+                f"{where}: there is no setting '{key}'; there are {', '.join(accepted)}."
                 f"{did_you_mean(str(key), accepted)}"
             )
-        _check_type(path, key, value, str(accepted[key].type))
-    return ScoreSettings(**written | {key: value for key, value in options.items() if value is not None})
+        _check_type(where, key, value, str(accepted[key].type))
 
 
-def _check_type(path: Path, key: str, value: Any, annotation: str) -> None:
+def _check_type(where: str, key: str, value: Any, annotation: str) -> None:
     kinds: tuple[str, tuple[type, ...]]
     if annotation.startswith("float"):
         kinds = ("a number", (int, float))
@@ -105,7 +111,7 @@ def _check_type(path: Path, key: str, value: Any, annotation: str) -> None:
         kinds = ("a mapping of names to numbers", (dict,))
     wanted, types = kinds
     if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
-        raise BenchError(f"{path}: {key} must be {wanted}, and is {value!r}.")
+        raise BenchError(f"{where}: {key} must be {wanted}, and is {value!r}.")
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:

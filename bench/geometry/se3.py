@@ -63,7 +63,14 @@ def _left_jacobian(phi: Float) -> Float:
 
 
 def exp(xi: Float) -> Float:
-    """Motions (..., 4, 4) of tangent vectors (..., 6), ordered (rho, phi)."""
+    """Motions (..., 4, 4) of tangent vectors (..., 6), ordered (rho, phi).
+
+    >>> T = exp([1.0, 0, 0, 0, 0, 0])  # a metre to the right
+    >>> T[:3, 3].tolist()
+    [1.0, 0.0, 0.0]
+    >>> log(exp([1.0, 2, 3, 0.1, 0.2, 0.3])).round(9).tolist()
+    [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
+    """
     xi = np.asarray(xi, dtype=np.float64)
     rho, phi = xi[..., :3], xi[..., 3:]
     return compose(so3_exp(phi), (_left_jacobian(phi) @ rho[..., None])[..., 0])
@@ -84,7 +91,12 @@ def compose(R: Float, t: Float) -> Float:
 
 
 def inverse(T: Float) -> Float:
-    """Inverse motions (..., 4, 4); uses that the upper-left block is a rotation."""
+    """Inverse motions (..., 4, 4); uses that the upper-left block is a rotation.
+
+    >>> T = exp([1.0, 2, 3, 0.1, 0.2, 0.3])
+    >>> bool(np.allclose(inverse(T) @ T, np.eye(4)))
+    True
+    """
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return compose(Rt, -(Rt @ T[..., :3, 3:])[..., 0])
 
@@ -98,7 +110,11 @@ def orthonormalise(T: Float) -> Float:
 
 
 def rotation_angle(R: Float) -> Float:
-    """Angle in radians, in [0, pi], of rotation matrices (..., 3, 3); accurate for small angles too."""
+    """Angle in radians, in [0, pi], of rotation matrices (..., 3, 3); accurate for small angles too.
+
+    >>> round(float(rotation_angle(so3_exp([0, 1e-9, 0]))), 15)
+    1e-09
+    """
     return np.linalg.norm(so3_log(R), axis=-1)
 
 

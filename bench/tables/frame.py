@@ -24,8 +24,12 @@ def load_runs(*places: str | Path, average: bool = False) -> pd.DataFrame:
     known is NaN. ``average=True`` has one row for runs that differ in their seed alone, as the table has: means, and
     sample standard deviations under ``KEY_std``. A damaged run is a row that says so in ``status``. Raises
     ``BenchError`` for a place that holds no run.
+
+    >>> runs = load_runs("results/tables/trackers.runs.json")
+    >>> {"run", "path", "seed", "psnr_db", "ate_rmse_m"} <= set(runs.columns)
+    True
     """
-    rows = rows_at([path for place in places for path in _expanded(str(place))])
+    rows = rows_at([path for place in places for path in expanded(str(place))])
     data = runs_data(rows, average)
     table = pd.DataFrame(list(data.rows), columns=list(data.columns))
     for column in table:
@@ -48,7 +52,8 @@ def rows_at(paths: Sequence[Path]) -> list[Row]:
     return by_settings([*rows, *(collect_row(folder) for folder in folders)])
 
 
-def _expanded(place: str) -> list[Path]:
+def expanded(place: str) -> list[Path]:
+    """The paths that a pattern stands for, or the one that it is; ``BenchError`` for a pattern of nothing."""
     if Path(place).exists() or not glob.has_magic(place):
         return [Path(place)]
     found = [Path(each) for each in sorted(glob.glob(place, recursive=True))]

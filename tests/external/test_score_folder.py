@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +12,9 @@ import pandas as pd
 import pytest
 import yaml
 
+import bench
 from bench.cli import main
+from bench.errors import BenchError
 from bench.io.trajectories import write_tum
 from bench.types import Trajectory
 from tests.external.foreign_case import (
@@ -65,6 +68,32 @@ def test_the_run_is_one_like_any_other(folder: Path, output: Path, capsys: pytes
     after = {path: path.read_bytes() for path in output.rglob("*") if path.is_file()}
     assert {path.name for path in before if before[path] != after[path]} <= {"trajectory.png"}
     assert json.loads((output / "metrics.json").read_text()) == first
+
+
+def test_from_python_it_is_the_same(folder: Path, output: Path) -> None:
+    def scores(run: Path) -> dict[str, Any]:
+        return dict(json.loads((run / "metrics.json").read_text()))
+
+    by_command = score(folder, output)
+    settings = {"dataset": "foreign_for_tests", "protocol": {"lpips": False, "depth_min_m": 0}}
+    run = bench.score(folder, settings, output=output.with_name("from Python"), name="Theirs")
+    assert run == output.with_name("from Python")
+    assert scores(run) == by_command
+    (run / "metrics.json").unlink()
+    assert bench.score(run) == run
+    assert scores(run) == by_command
+    other = bench.score(run, ["protocol.alignment=none"], output=output.with_name("other"))
+    assert (scores(other)["protocol"]["alignment"], scores(run)["protocol"]["alignment"]) == ("none", "se3")
+    there = sorted(output.parent.rglob("*"))
+    for place, wrong, text in (
+        (run, {"name": "Theirs"}, "name is for another system's output"),
+        (folder / "nowhere", {}, "There is no folder"),
+        (folder, {"nam": "Theirs"}, "no setting 'nam'.*Did you mean"),
+        (folder, {"name": "Theirs", "depth_scale": "256"}, "depth_scale must be a number"),
+    ):
+        with pytest.raises(BenchError, match=text):
+            bench.score(place, settings, output=output.with_name("never"), **wrong)
+    assert sorted(output.parent.rglob("*")) == there
 
 
 def test_a_trajectory_alone(folder: Path, output: Path) -> None:

@@ -6,8 +6,11 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import quote
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 UNKNOWN = "-"
 """The text of a cell whose value is not known."""
@@ -81,6 +84,18 @@ class Document:
     folder: Path = field(default_factory=Path)
     links: tuple[tuple[str, tuple[tuple[str, Path], ...]], ...] = ()
     """Where the runs are, below the notes: what each line is of, and of each of its runs the name and the place."""
+
+    def text(self, form: str, folder: str | Path = "") -> str:
+        """It as "md", "csv", "tex" or "html", with links relative to ``folder``; ``BenchError`` for another form."""
+        from bench.tables.document.forms import text_of  # whose writers need this module
+
+        return text_of(self, form, Path(folder))
+
+    def frame(self) -> pd.DataFrame:
+        """The numbers behind it, with full digits and the columns of its CSV file; what is not known is None or NaN."""
+        import pandas as pd  # takes a while to load, and few want it
+
+        return pd.DataFrame(list(self.data.rows), columns=list(self.data.columns))
 
     def link(self, path: Path) -> str:
         """The address of a path as seen from the document, with forward slashes and percent-encoded, so that no name of

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from bench.errors import BenchError, require_choice
-from bench.tables.document.forms import FORMS, save, text_of
+from bench.tables.document.forms import FORMS, save
 from bench.tables.document.model import Document
 from bench.tables.document.terminal import print_document
 from bench.tables.named.definitions import NamedTable
@@ -47,7 +47,7 @@ class PaperTable:
 
     def text(self, form: str, folder: Path) -> str:
         """The table as "md", "csv", "tex" or "html"; its links to runs are relative to ``folder``."""
-        return text_of(self.document, form, folder)
+        return self.document.text(form, folder)
 
     def print(self, console: Console) -> None:
         """Print it with its notes."""
