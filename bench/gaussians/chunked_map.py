@@ -125,6 +125,10 @@ class ChunkedMap:
         known = self._extended
         return self.live.planes if known is None or known[0] != self.live.changes else known[2]
 
+    def frozen_seen_from(self, place: Float) -> Tensor:
+        """Parameters (P, N) of those of ``seen_from`` that come from blocks."""
+        return self.seen_from(place)[:, len(self.live) :]
+
     def look_from(self, place: Float) -> None:
         """From now on ``seen_from`` gives the blocks of which something is within reach of ``place`` (3,) in metres."""
         distances = self._distances(list(self._blocks.values()), place)

@@ -105,14 +105,17 @@ class GaussianMapperConfig(PluginConfig):
     """Before the last iterations at full resolution, keyframes seed once more, at every so many pixels (0: not)."""
     refine_error: float = 0.06
     """Where: the mean colour error, of 0 to 1, is above this, or nothing covers the pixel."""
+    revisit_error: float = 0.2
+    """What a chunk on disk covers already is seeded again only where the mean colour error is above this, in both
+    seedings: else each lap of a road would add half of what the first one did."""
     rasterizer: PluginConfig = plugin_field("rasterizer", "cpu")
     """What renders the Gaussians: `mapper.rasterizer=NAME`, one of `bgs-bench list rasterizer`."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.sh_degree <= MAX_DEGREE:
             raise BenchError(f"mapper.sh_degree={self.sh_degree} must be 0 to {MAX_DEGREE}.")
-        counts = dict.fromkeys(("final_iterations", "final_coarse_iterations", "refine_stride", "refine_error"), 0)
-        require_least("mapper", self, iterations=1, **counts)
+        counts = dict.fromkeys(("final_iterations", "final_coarse_iterations", "refine_stride"), 0)
+        require_least("mapper", self, iterations=1, refine_error=0, revisit_error=0, **counts)
         require_choice("mapper.color_pixels", self.color_pixels, COLOR_PIXELS)
         if self.color_pixels != "all" and self.right_images > 0:
             raise BenchError(

@@ -392,11 +392,17 @@ class GaussianMapper(Mapper):
         margin = seeding.margin_columns(view.width)
         unexplained = np.ones((view.height, view.width + 2 * margin), bool)
         if self.gaussians:
-            rendered = self._render(view.widened(margin))
+            wide = view.widened(margin)
+            rendered = self._render(wide)
             shown = self._appearance.shown(rendered.color, number, right=False)
             error = (shown[..., margin : margin + view.width] - target.image).abs().mean(0)
             error = torch.nn.functional.pad(error, (margin, margin))
-            unexplained = ((rendered.alpha < seeding.max_alpha) | (error > seeding.min_error)).cpu().numpy()
+            uncovered, wrong = rendered.alpha < seeding.max_alpha, error > seeding.min_error
+            frozen = self._map.frozen_seen_from(view.T_world_cam[:3, 3])
+            if frozen.shape[1]:
+                known = self._rasterizer.render(frozen, wide, differentiable=False).alpha > seeding.max_alpha
+                wrong &= ~known | (error > c.revisit_error)
+            unexplained = (uncovered | wrong).cpu().numpy()
         if self._moving is not None:
             unexplained[:, margin : margin + view.width] &= ~self._moving.mask(number)
         depth = depth_to_seed_from(keyframe, c.depth_range_m, seeding)

@@ -52,7 +52,15 @@ def test_run_folder_is_complete(finished_run: Finished) -> None:
         *("config.yaml", "status.json", "provenance.json", "metrics.json", "per_frame.csv", "frames.csv"),
         "events.jsonl",
         *("trajectory.csv", "trajectory_kitti.txt", "trajectory_tum.txt", "ground_truth.csv"),
-        *("ground_truth_kitti.txt", "resources.json", "map.ply", "log.txt", "trajectory.png", ".lock"),
+        *(
+            "ground_truth_kitti.txt",
+            "resources.json",
+            "map.ply",
+            "map_keyframes.npy",
+            "log.txt",
+            "trajectory.png",
+            ".lock",
+        ),
     }
 
 
