@@ -41,6 +41,7 @@ quick: check
 check: $(TESTING)
 	$(BIN)/ruff check bench plugins tests tools
 	$(BIN)/ruff format --check bench plugins tests tools
+	$(BIN)/clang-format --dry-run --Werror bench/native/*.cpp bench/native/*.h bench/native/*.inc
 	$(BIN)/mypy
 
 # The pages in build/docs; ends at the first warning, such as a link that leads nowhere.

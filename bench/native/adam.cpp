@@ -8,8 +8,8 @@
 
 #include "engine.h"
 
-bgs::AdamArgs adam_args(Planes& params, Planes& first, Planes& second, const std::optional<Array1>& position_rate, const std::vector<float>& rates,
-                        float beta1, float beta2, float epsilon, int step) {
+bgs::AdamArgs adam_args(Planes& params, Planes& first, Planes& second, const std::optional<Array1>& position_rate, const std::vector<float>& rates, float beta1,
+                        float beta2, float epsilon, int step) {
     const size_t planes = params.shape(0), n = params.shape(1), learning = first.shape(1);
     require(first.shape(0) == planes && second.shape(0) == planes && second.shape(1) == learning && learning <= n,
             "first and second must have the same shape (P, M), M at most N, for params of shape (P, N)");
@@ -30,8 +30,8 @@ bgs::AdamArgs adam_args(Planes& params, Planes& first, Planes& second, const std
 
 namespace {
 
-void adam_step(Planes& params, Planes& first, Planes& second, const Planes& grads, const std::optional<Array1>& position_rate,
-               const std::vector<float>& rates, float beta1, float beta2, float epsilon, int step, const std::optional<Flags>& touched) {
+void adam_step(Planes& params, Planes& first, Planes& second, const Planes& grads, const std::optional<Array1>& position_rate, const std::vector<float>& rates,
+               float beta1, float beta2, float epsilon, int step, const std::optional<Flags>& touched) {
     bgs::AdamArgs args = adam_args(params, first, second, position_rate, rates, beta1, beta2, epsilon, step);
     const auto learning = static_cast<size_t>(args.count);
     require(grads.shape(0) == params.shape(0) && grads.shape(1) >= learning, "grads must have shape (P, M), or more columns");

@@ -35,7 +35,8 @@ inline size_t stride_of(const Planes& a, const char* name) {
     const auto count = static_cast<int64_t>(a.shape(1));
     if (count == 0) return 0;
     if ((count > 1 && a.stride(1) != 1) || (a.shape(0) > 1 && a.stride(0) < count))
-        throw std::invalid_argument(std::string(name) + ": each row must be contiguous and the rows must not overlap, as in buffer[:, :n]; a transpose needs .contiguous()");
+        throw std::invalid_argument(std::string(name) +
+                                    ": each row must be contiguous and the rows must not overlap, as in buffer[:, :n]; a transpose needs .contiguous()");
     return static_cast<size_t>(a.stride(0));
 }
 

@@ -10,8 +10,7 @@ namespace {
 int bands(int height) { return (height + LOSS_BAND - 1) / LOSS_BAND; }
 
 // The sum of kernel(task, scratch) over the bands; each thread has its own scratch.
-template <typename Kernel>
-double sum_of_bands(int height, size_t scratch_floats, const Kernel& kernel) {
+template <typename Kernel> double sum_of_bands(int height, size_t scratch_floats, const Kernel& kernel) {
     std::vector<double> sums(static_cast<size_t>(bands(height)));
     pool().run(bands(height), [&](int task) {
         static thread_local Buffer<float> scratch;

@@ -42,8 +42,8 @@ const KernelTable& kernels() {
         const char* wish = std::getenv("BGS_KERNELS");
         const auto at_most = [&](const char* name) { return wish != nullptr && std::strcmp(wish, name) == 0; };
         const bool has_avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
-        const bool has_avx512 = has_avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
-                                __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq");
+        const bool has_avx512 = has_avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512bw") &&
+                                __builtin_cpu_supports("avx512dq");
         if (has_avx512 && !at_most("baseline") && !at_most("avx2")) return kernels_avx512;
         if (has_avx2 && !at_most("baseline")) return kernels_avx2;
 #endif

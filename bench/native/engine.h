@@ -10,8 +10,7 @@
 namespace bgs {
 
 // Memory that is never initialised twice and never given back before the end.
-template <typename T>
-class Buffer {
+template <typename T> class Buffer {
 public:
     T* reserve(size_t count) {
         if (count > capacity_) {

@@ -17,7 +17,7 @@ namespace {
 }  // namespace
 
 extern const KernelTable BGS_TABLE;
-const KernelTable BGS_TABLE = {BGS_ISA,     cull,              project, raster_forward, raster_backward, raster_observe, project_backward,
-                               photometric, target_statistics, adam,    count_normals,  normal_loss,     smooth_loss,    geo_loss};
+const KernelTable BGS_TABLE = {BGS_ISA,           cull, project,       raster_forward, raster_backward, raster_observe, project_backward, photometric,
+                               target_statistics, adam, count_normals, normal_loss,    smooth_loss,     geo_loss};
 
 }  // namespace bgs

@@ -35,8 +35,8 @@ void target_statistics(const Array3& target, Array3& mean, Array3& variance) {
     bgs::target_statistics(target.data(), mean.data(), variance.data(), width, height, channels);
 }
 
-bgs::SurfaceArgs surface_of(const Array2& depth, const Array2& alpha, float covered, float fx, float fy, float cx, float cy, float weight,
-                            Array2& grad_depth, bool add) {
+bgs::SurfaceArgs surface_of(const Array2& depth, const Array2& alpha, float covered, float fx, float fy, float cx, float cy, float weight, Array2& grad_depth,
+                            bool add) {
     const int height = static_cast<int>(depth.shape(0)), width = static_cast<int>(depth.shape(1));
     check_map(alpha, height, width, "alpha must have the shape of depth");
     check_map(grad_depth, height, width, "grad_depth must have the shape of depth");
@@ -48,8 +48,8 @@ bgs::SurfaceArgs surface_of(const Array2& depth, const Array2& alpha, float cove
     return s;
 }
 
-double normal_loss(const Array2& depth, const Array2& alpha, float covered, const Array3& target_normals, const Mask& target_valid, float fx,
-                   float fy, float cx, float cy, float weight, Array2& grad_depth, bool add) {
+double normal_loss(const Array2& depth, const Array2& alpha, float covered, const Array3& target_normals, const Mask& target_valid, float fx, float fy,
+                   float cx, float cy, float weight, Array2& grad_depth, bool add) {
     bgs::NormalArgs args{surface_of(depth, alpha, covered, fx, fy, cx, cy, weight, grad_depth, add), target_normals.data(), target_valid.data()};
     check_image(target_normals, 3, args.surface.height, args.surface.width, "target_normals must have shape (3, H, W) for a depth of shape (H, W)");
     check_mask(target_valid, args.surface.height, args.surface.width, "target_valid must have the shape of depth");
@@ -57,8 +57,8 @@ double normal_loss(const Array2& depth, const Array2& alpha, float covered, cons
     return bgs::normal_loss(args);
 }
 
-double smooth_loss(const Array2& depth, const Array2& alpha, float covered, const std::vector<int>& distances, float fx, float fy, float cx,
-                   float cy, float weight, Array2& grad_depth, bool add) {
+double smooth_loss(const Array2& depth, const Array2& alpha, float covered, const std::vector<int>& distances, float fx, float fy, float cx, float cy,
+                   float weight, Array2& grad_depth, bool add) {
     for (const int distance : distances) require(distance >= 1, "distances must be at least 1");
     const bgs::SurfaceArgs surface = surface_of(depth, alpha, covered, fx, fy, cx, cy, weight, grad_depth, add);
     nb::gil_scoped_release release;
@@ -66,8 +66,7 @@ double smooth_loss(const Array2& depth, const Array2& alpha, float covered, cons
 }
 
 double geo_loss(const Array2& depth, const std::optional<Array2>& alpha, const Array2& target_depth, const Mask& depth_mask,
-                const std::optional<Array2>& edge_weight, int stride, float weight, Array2& grad_depth,
-                std::optional<Array2> grad_alpha, bool add) {
+                const std::optional<Array2>& edge_weight, int stride, float weight, Array2& grad_depth, std::optional<Array2> grad_alpha, bool add) {
     const int height = static_cast<int>(depth.shape(0)), width = static_cast<int>(depth.shape(1));
     require(stride >= 1, "stride must be at least 1");
     require(alpha.has_value() == grad_alpha.has_value(), "give alpha and grad_alpha, or neither");
@@ -89,13 +88,13 @@ double geo_loss(const Array2& depth, const std::optional<Array2>& alpha, const A
 }  // namespace
 
 void bind_losses(nb::module_& m) {
-    m.def("photometric", &photometric, "image"_a.noconvert(), "target"_a.noconvert(), "mean"_a.noconvert(), "variance"_a.noconvert(),
-          "weight_l1"_a, "weight_l2"_a, "weight_ssim"_a, "grad"_a.noconvert().none());
+    m.def("photometric", &photometric, "image"_a.noconvert(), "target"_a.noconvert(), "mean"_a.noconvert(), "variance"_a.noconvert(), "weight_l1"_a,
+          "weight_l2"_a, "weight_ssim"_a, "grad"_a.noconvert().none());
     m.def("target_statistics", &target_statistics, "target"_a.noconvert(), "mean"_a.noconvert(), "variance"_a.noconvert());
-    m.def("normal_loss", &normal_loss, "depth"_a.noconvert(), "alpha"_a.noconvert(), "covered"_a, "target_normals"_a.noconvert(),
-          "target_valid"_a.noconvert(), "fx"_a, "fy"_a, "cx"_a, "cy"_a, "weight"_a, "grad_depth"_a.noconvert(), "add"_a);
-    m.def("smooth_loss", &smooth_loss, "depth"_a.noconvert(), "alpha"_a.noconvert(), "covered"_a, "distances"_a, "fx"_a, "fy"_a, "cx"_a,
-          "cy"_a, "weight"_a, "grad_depth"_a.noconvert(), "add"_a);
+    m.def("normal_loss", &normal_loss, "depth"_a.noconvert(), "alpha"_a.noconvert(), "covered"_a, "target_normals"_a.noconvert(), "target_valid"_a.noconvert(),
+          "fx"_a, "fy"_a, "cx"_a, "cy"_a, "weight"_a, "grad_depth"_a.noconvert(), "add"_a);
+    m.def("smooth_loss", &smooth_loss, "depth"_a.noconvert(), "alpha"_a.noconvert(), "covered"_a, "distances"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "weight"_a,
+          "grad_depth"_a.noconvert(), "add"_a);
     m.def("geo_loss", &geo_loss, "depth"_a.noconvert(), "alpha"_a.noconvert().none(), "target_depth"_a.noconvert(), "depth_mask"_a.noconvert(),
           "edge_weight"_a.noconvert().none(), "stride"_a, "weight"_a, "grad_depth"_a.noconvert(), "grad_alpha"_a.noconvert().none(), "add"_a);
 }

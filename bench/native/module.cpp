@@ -16,11 +16,19 @@ namespace {
 
 void bind_schema(nb::module_& m) {
     nb::dict planes, thresholds;
-    for (const auto& [name, first] : {std::pair("mean", bgs::MEAN), {"log_scale", bgs::LOG_SCALE}, {"quaternion", bgs::QUATERNION}, {"opacity_logit", bgs::OPACITY_LOGIT},
-                                      {"color", bgs::COLOR}, {"harmonics", bgs::HARMONICS}})
+    for (const auto& [name, first] : {std::pair("mean", bgs::MEAN),
+                                      {"log_scale", bgs::LOG_SCALE},
+                                      {"quaternion", bgs::QUATERNION},
+                                      {"opacity_logit", bgs::OPACITY_LOGIT},
+                                      {"color", bgs::COLOR},
+                                      {"harmonics", bgs::HARMONICS}})
         planes[name] = static_cast<int>(first);
-    for (const auto& [name, value] : {std::pair("near_m", bgs::NEAR_M), {"low_pass_px2", bgs::LOW_PASS_PX2}, {"alpha_min", bgs::ALPHA_MIN}, {"alpha_max", bgs::ALPHA_MAX},
-                                      {"transmittance_end", bgs::TRANSMITTANCE_END}, {"jacobian_margin", bgs::JACOBIAN_MARGIN}})
+    for (const auto& [name, value] : {std::pair("near_m", bgs::NEAR_M),
+                                      {"low_pass_px2", bgs::LOW_PASS_PX2},
+                                      {"alpha_min", bgs::ALPHA_MIN},
+                                      {"alpha_max", bgs::ALPHA_MAX},
+                                      {"transmittance_end", bgs::TRANSMITTANCE_END},
+                                      {"jacobian_margin", bgs::JACOBIAN_MARGIN}})
         thresholds[name] = value;
     m.attr("FIRST_PLANE") = planes;
     m.attr("THRESHOLDS") = thresholds;

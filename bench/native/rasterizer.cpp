@@ -24,8 +24,18 @@ void Workspace::project(const float* planes, size_t stride, int count, int degre
     for (int c = 0; c < chunks; ++c) candidates += std::exchange(first_record[c], candidates);
     first_record[chunks] = candidates;
     const auto most = static_cast<size_t>(candidates);
-    const ProjectArgs project{planes, stride, count, degree, view, groups, first_record, records_.reserve(most), boxes_.reserve(most), place_.reserve(static_cast<size_t>(count)),
-                              chunk_counts_.reserve(static_cast<size_t>(chunks) + 1), first_slot_.reserve(static_cast<size_t>(chunks) + 1)};
+    const ProjectArgs project{planes,
+                              stride,
+                              count,
+                              degree,
+                              view,
+                              groups,
+                              first_record,
+                              records_.reserve(most),
+                              boxes_.reserve(most),
+                              place_.reserve(static_cast<size_t>(count)),
+                              chunk_counts_.reserve(static_cast<size_t>(chunks) + 1),
+                              first_slot_.reserve(static_cast<size_t>(chunks) + 1)};
     pool().run(chunks, [&](int chunk) { k.project(project, chunk); });
     sort_by_depth(chunks);
     bin();
@@ -178,8 +188,8 @@ void Workspace::sum_pose(int chunks, double* pose) const {
         for (int j = 0; j < 6; ++j) pose[j] += pose_.data()[6 * c + j];
 }
 
-void Workspace::backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
-                         float* grads, size_t grads_stride, int learning, bool* touched, double* pose) {
+void Workspace::backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha, float* grads,
+                         size_t grads_stride, int learning, bool* touched, double* pose) {
     ProjectBackwardArgs project = raster_backward(planes, stride, grad_color, grad_depth, grad_alpha, learning, pose != nullptr);
     project.grads = grads, project.grads_stride = grads_stride, project.touched = touched;
     const int chunks = (learning + CHUNK - 1) / CHUNK;
@@ -207,8 +217,8 @@ void Workspace::learn(const float* planes, size_t stride, const float* grad_colo
 }
 
 size_t Workspace::bytes() const {
-    return records_.bytes() + groups_.bytes() + first_record_.bytes() + first_slot_.bytes() + chunk_counts_.bytes() + tile_start_.bytes() + tile_list_.bytes() + tile_blocks_.bytes() + boxes_.bytes() + bin_counts_.bytes() +
-           place_.bytes() + slots_.bytes() + pose_.bytes();
+    return records_.bytes() + groups_.bytes() + first_record_.bytes() + first_slot_.bytes() + chunk_counts_.bytes() + tile_start_.bytes() + tile_list_.bytes() +
+           tile_blocks_.bytes() + boxes_.bytes() + bin_counts_.bytes() + place_.bytes() + slots_.bytes() + pose_.bytes();
 }
 
 }  // namespace bgs

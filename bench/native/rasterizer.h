@@ -12,8 +12,8 @@ public:
     // Per Gaussian the pixels that see it before half of their light is gone, and where that is; NaN where it never is.
     void observe(const float* planes, size_t stride, int count, int degree, const View& view, int* pixels, float* median_depth);
     // Of the first `learning` Gaussians, of all for a `pose` (6 values, or null); null image gradients count as zero.
-    void backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha,
-                  float* grads, size_t grads_stride, int learning, bool* touched, double* pose);
+    void backward(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha, float* grads,
+                  size_t grads_stride, int learning, bool* touched, double* pose);
     // The same, and a step of Adam with the gradients, which are in memory for a chunk of Gaussians at a time.
     void learn(const float* planes, size_t stride, const float* grad_color, const float* grad_depth, const float* grad_alpha, const AdamArgs& adam,
                double* pose);
@@ -39,7 +39,7 @@ private:
     size_t slots_used_ = 0;
     float *color_ = nullptr, *depth_ = nullptr, *alpha_ = nullptr;  // the caller keeps them alive until backward
     Buffer<Record> records_;
-    Buffer<uint64_t> groups_;  // of eight Gaussians that may be in view
+    Buffer<uint64_t> groups_;                  // of eight Gaussians that may be in view
     Buffer<int> first_record_, chunk_counts_;  // of each chunk; once sorted, chunk_counts_ has how many are visible before it
     Buffer<uint32_t> first_slot_, tile_start_, tile_list_, bin_counts_;
     const uint32_t* by_depth_ = nullptr;  // places of records, nearest first; until bin() has run

@@ -25,11 +25,11 @@ struct OrbResult {
 
 // FAST-scored ORB, spread over the image by buckets. Holds only settings, so threads may share one.
 class OrbExtractor {
-  public:
+public:
     OrbExtractor(int features, int octaves, double scale_factor, int threshold, std::vector<float> tests);
     OrbResult extract(const uint8_t* image, int width, int height) const;
 
-  private:
+private:
     void extract_octave(const GreyImage& image, int octave, const GreyImage& full, OrbResult& out) const;
 
     std::vector<int> wanted_;  // keypoints of each octave

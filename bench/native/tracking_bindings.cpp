@@ -16,8 +16,7 @@ using namespace nb::literals;
 
 namespace {
 
-template <typename T, int N>
-using In = nb::ndarray<const T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
+template <typename T, int N> using In = nb::ndarray<const T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
 using Doubles = In<double, 1>;
 using Rows = In<double, 2>;
 using Ints = In<int64_t, 1>;
@@ -30,8 +29,7 @@ void require(bool ok, const char* what) {
 }
 
 // A numpy array that owns the vector's memory.
-template <typename T>
-nb::object array(std::vector<T>&& values, std::initializer_list<size_t> shape) {
+template <typename T> nb::object array(std::vector<T>&& values, std::initializer_list<size_t> shape) {
     auto* held = new std::vector<T>(std::move(values));
     nb::capsule owner(held, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
     return nb::cast(nb::ndarray<nb::numpy, T>(held->data(), shape, owner));
@@ -42,9 +40,7 @@ size_t rows(const Rows& a, size_t columns, const char* what) {
     return a.shape(0);
 }
 
-bgs::GreyImage image_of(const Grey& a) {
-    return {a.data(), static_cast<int>(a.shape(1)), static_cast<int>(a.shape(0)), static_cast<ptrdiff_t>(a.shape(1))};
-}
+bgs::GreyImage image_of(const Grey& a) { return {a.data(), static_cast<int>(a.shape(1)), static_cast<int>(a.shape(0)), static_cast<ptrdiff_t>(a.shape(1))}; }
 
 bgs::Keypoints keypoints_of(const Rows& xy, const Ints& octave, const Bits& descriptors) {
     const size_t n = rows(xy, 2, "positions must have shape (N, 2)");
@@ -57,9 +53,7 @@ bgs::Pinhole camera_of(const std::vector<double>& c) {
     return {c[0], c[1], c[2], c[3], c[4]};
 }
 
-std::vector<double> pack_pose(const double* T) {
-    return {T[0], T[1], T[2], T[4], T[5], T[6], T[8], T[9], T[10], T[3], T[7], T[11]};
-}
+std::vector<double> pack_pose(const double* T) { return {T[0], T[1], T[2], T[4], T[5], T[6], T[8], T[9], T[10], T[3], T[7], T[11]}; }
 
 void unpack_pose(const double* packed, double* T) {
     for (int r = 0; r < 3; ++r) {
@@ -103,8 +97,8 @@ nb::tuple bucketed(const In<int64_t, 2>& corners, int wanted, int bucket) {
     return nb::tuple(kept);
 }
 
-nb::tuple pair_rows(const Rows& left_xy, const Ints& left_octave, const Bits& left_bits, const Rows& right_xy, const Ints& right_octave,
-                    const Bits& right_bits, const Doubles& band, double nearest_left, double beyond, int max_hamming) {
+nb::tuple pair_rows(const Rows& left_xy, const Ints& left_octave, const Bits& left_bits, const Rows& right_xy, const Ints& right_octave, const Bits& right_bits,
+                    const Doubles& band, double nearest_left, double beyond, int max_hamming) {
     bgs::StereoPairArgs args{};
     args.left = keypoints_of(left_xy, left_octave, left_bits), args.right = keypoints_of(right_xy, right_octave, right_bits);
     require(band.shape(0) == left_xy.shape(0), "band must have shape (N,)");
@@ -156,9 +150,9 @@ nb::tuple refine_disparity(const Levels& left, const Levels& right, const Ints& 
     return nb::make_tuple(array(std::move(disparity), {n}), array(std::move(rms), {n}));
 }
 
-nb::tuple match_boxes(const Rows& uv, const Doubles& radius, const Doubles& octave, const Doubles& disparity, const Bits& bits,
-                      const Rows& keypoint_xy, const Ints& keypoint_octave, const Doubles& keypoint_disparity, const Bits& keypoint_bits,
-                      int max_hamming, double ratio, double octave_tolerance) {
+nb::tuple match_boxes(const Rows& uv, const Doubles& radius, const Doubles& octave, const Doubles& disparity, const Bits& bits, const Rows& keypoint_xy,
+                      const Ints& keypoint_octave, const Doubles& keypoint_disparity, const Bits& keypoint_bits, int max_hamming, double ratio,
+                      double octave_tolerance) {
     const size_t n = rows(uv, 2, "uv must have shape (Q, 2)");
     require(radius.shape(0) == n && octave.shape(0) == n && disparity.shape(0) == n && bits.shape(0) == n && bits.shape(1) == 4,
             "radius, octave, disparity (Q,) and descriptors (Q, 4) must match uv");
@@ -188,8 +182,8 @@ nb::tuple match_boxes(const Rows& uv, const Doubles& radius, const Doubles& octa
     return nb::make_tuple(array(std::move(keypoint), {n}), array(std::move(distance), {n}));
 }
 
-nb::tuple optimise_pose(const std::vector<double>& camera, const Rows& points, const Rows& measured, const Rows& T_cam_world, int rounds,
-                        int iterations, bool gate_first) {
+nb::tuple optimise_pose(const std::vector<double>& camera, const Rows& points, const Rows& measured, const Rows& T_cam_world, int rounds, int iterations,
+                        bool gate_first) {
     const size_t n = rows(points, 3, "points must have shape (M, 3)");
     require(rows(measured, 4, "measured must have shape (M, 4): u, v, disparity, weight") == n, "points and measured must have equal length");
     require(rows(T_cam_world, 4, "T_cam_world must have shape (4, 4)") == 4, "T_cam_world must have shape (4, 4)");
@@ -197,7 +191,8 @@ nb::tuple optimise_pose(const std::vector<double>& camera, const Rows& points, c
     std::vector<double> pose = pack_pose(T_cam_world.data()), out(16);
     std::vector<uint8_t> inlier(n);
     double squared = 0.0;
-    const bgs::PoseArgs args{camera_of(camera), points.data(), measured.data(), static_cast<int>(n), rounds, iterations, gate_first, pose.data(), inlier.data(), &squared};
+    const bgs::PoseArgs args{camera_of(camera), points.data(), measured.data(), static_cast<int>(n), rounds,
+                             iterations,        gate_first,    pose.data(),     inlier.data(),       &squared};
     {
         nb::gil_scoped_release release;
         bgs::tracking().optimise_pose(args);
@@ -206,8 +201,8 @@ nb::tuple optimise_pose(const std::vector<double>& camera, const Rows& points, c
     return nb::make_tuple(array(std::move(out), {4, 4}), array(std::move(inlier), {n}), squared);
 }
 
-nb::tuple bundle(const std::vector<double>& camera, const In<double, 3>& T_cam_world, int fixed, const Rows& points, const Ints& keyframe,
-                 const Ints& point, const Rows& measured, const std::vector<int>& iterations) {
+nb::tuple bundle(const std::vector<double>& camera, const In<double, 3>& T_cam_world, int fixed, const Rows& points, const Ints& keyframe, const Ints& point,
+                 const Rows& measured, const std::vector<int>& iterations) {
     const size_t k = T_cam_world.shape(0), p = rows(points, 3, "points must have shape (P, 3)");
     const size_t m = rows(measured, 4, "measured must have shape (M, 4): u, v, disparity, weight");
     require(T_cam_world.shape(1) == 4 && T_cam_world.shape(2) == 4, "T_cam_world must have shape (K, 4, 4)");
@@ -248,22 +243,23 @@ nb::tuple bundle(const std::vector<double>& camera, const In<double, 3>& T_cam_w
 
 void bind_tracking(nb::module_& m) {
     nb::class_<bgs::OrbExtractor>(m, "OrbExtractor")
-        .def("__init__",
-             [](bgs::OrbExtractor* self, int features, int octaves, double scale_factor, int threshold, const In<float, 2>& tests) {
-                 require(features > 0 && octaves > 0 && scale_factor > 1.0 && scale_factor <= 2.0, "features and octaves must be positive, scale_factor above 1 and at most 2");
-                 require(threshold >= 1 && threshold <= 254, "threshold must be between 1 and 254");
-                 require(tests.shape(0) == 4 && tests.shape(1) == 256, "tests must have shape (4, 256): ax, ay, bx, by");
-                 new (self) bgs::OrbExtractor(features, octaves, scale_factor, threshold, std::vector<float>(tests.data(), tests.data() + 1024));
-             },
-             "features"_a, "octaves"_a, "scale_factor"_a, "threshold"_a, "tests"_a)
+        .def(
+            "__init__",
+            [](bgs::OrbExtractor* self, int features, int octaves, double scale_factor, int threshold, const In<float, 2>& tests) {
+                require(features > 0 && octaves > 0 && scale_factor > 1.0 && scale_factor <= 2.0,
+                        "features and octaves must be positive, scale_factor above 1 and at most 2");
+                require(threshold >= 1 && threshold <= 254, "threshold must be between 1 and 254");
+                require(tests.shape(0) == 4 && tests.shape(1) == 256, "tests must have shape (4, 256): ax, ay, bx, by");
+                new (self) bgs::OrbExtractor(features, octaves, scale_factor, threshold, std::vector<float>(tests.data(), tests.data() + 1024));
+            },
+            "features"_a, "octaves"_a, "scale_factor"_a, "threshold"_a, "tests"_a)
         .def("extract", &extract, "image"_a.noconvert());
     m.def("bucketed", &bucketed, "corners"_a, "wanted"_a, "bucket"_a);
-    m.def("pair_rows", &pair_rows, "left_xy"_a, "left_octave"_a, "left_descriptors"_a, "right_xy"_a, "right_octave"_a, "right_descriptors"_a,
-          "band"_a, "nearest_left"_a, "beyond"_a, "max_hamming"_a);
+    m.def("pair_rows", &pair_rows, "left_xy"_a, "left_octave"_a, "left_descriptors"_a, "right_xy"_a, "right_octave"_a, "right_descriptors"_a, "band"_a,
+          "nearest_left"_a, "beyond"_a, "max_hamming"_a);
     m.def("refine_disparity", &refine_disparity, "left"_a, "right"_a, "octave"_a, "at_left"_a, "x_right"_a);
     m.def("match_boxes", &match_boxes, "uv"_a, "radius"_a, "octave"_a, "disparity"_a, "descriptors"_a, "keypoint_xy"_a, "keypoint_octave"_a,
           "keypoint_disparity"_a, "keypoint_descriptors"_a, "max_hamming"_a, "ratio"_a, "octave_tolerance"_a);
-    m.def("optimise_pose", &optimise_pose, "camera"_a, "points"_a, "measured"_a, "T_cam_world"_a, "rounds"_a, "iterations"_a,
-          "gate_first"_a);
+    m.def("optimise_pose", &optimise_pose, "camera"_a, "points"_a, "measured"_a, "T_cam_world"_a, "rounds"_a, "iterations"_a, "gate_first"_a);
     m.def("bundle_adjust", &bundle, "camera"_a, "T_cam_world"_a, "fixed"_a, "points"_a, "keyframe"_a, "point"_a, "measured"_a, "iterations"_a);
 }

@@ -15,7 +15,6 @@ namespace {
 }  // namespace
 
 extern const TrackingTable BGS_TRACKING_TABLE;
-const TrackingTable BGS_TRACKING_TABLE = {shrink,      blur,        fast_corners,  describe, pair_rows,
-                                          ssd_profile, match_boxes, optimise_pose, bundle};
+const TrackingTable BGS_TRACKING_TABLE = {shrink, blur, fast_corners, describe, pair_rows, ssd_profile, match_boxes, optimise_pose, bundle};
 
 }  // namespace bgs

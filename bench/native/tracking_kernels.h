@@ -10,8 +10,8 @@
 
 namespace bgs {
 
-constexpr int FAST_BORDER = 19;      // the descriptor's tests reach 18.4 px from the keypoint
-constexpr int SSD_SHIFTS = 11;       // shifts -5 .. 5 px of stereo's sub-pixel search
+constexpr int FAST_BORDER = 19;  // the descriptor's tests reach 18.4 px from the keypoint
+constexpr int SSD_SHIFTS = 11;   // shifts -5 .. 5 px of stereo's sub-pixel search
 constexpr int SSD_HALF_WINDOW = 5;
 
 struct GreyImage {
@@ -40,7 +40,7 @@ struct StereoPairArgs {
     int max_hamming;
     const int32_t *row_start, *by_row;  // right keypoints in order of floor(y): those of row r are by_row[row_start[r] ...]
     int rows;
-    int32_t* best_right;    // (left.count,): out, -1 = none
+    int32_t* best_right;  // (left.count,): out, -1 = none
     int32_t* best_distance;
 };
 
@@ -49,10 +49,10 @@ struct BoxMatchArgs {
     const uint64_t* descriptor;                      // (Q, 4)
     int queries;
     Keypoints keypoints;
-    const double* keypoint_disparity;        // (N,) pixels or NaN
-    const int32_t *cell_start, *by_cell;     // keypoints by cell of the grid, row by row
+    const double* keypoint_disparity;     // (N,) pixels or NaN
+    const int32_t *cell_start, *by_cell;  // keypoints by cell of the grid, row by row
     int cells_x, cells_y;
-    double cell;                             // side of a cell in pixels
+    double cell;  // side of a cell in pixels
     int max_hamming;
     double ratio, octave_tolerance;
     int32_t *best_keypoint, *best_distance;  // (Q,): out, -1 = none
@@ -77,29 +77,27 @@ struct PoseArgs {
 struct BundleArgs {
     Pinhole camera;
     int keyframes, fixed, points, count;
-    double *pose, *point;        // (K, 12), (P, 3); in: start, out: result
-    const int32_t* keyframe;     // (M,)
-    const double* measured;      // (M, 4)
+    double *pose, *point;             // (K, 12), (P, 3); in: start, out: result
+    const int32_t* keyframe;          // (M,)
+    const double* measured;           // (M, 4)
     const int32_t *start, *by_point;  // observations of point p are by_point[start[p] .. start[p + 1]]
-    const int* rounds;           // iterations of each round
+    const int* rounds;                // iterations of each round
     int round_count;
-    uint8_t* inlier;             // (M,): out
-    double* scratch;             // bundle_scratch() doubles
+    uint8_t* inlier;  // (M,): out
+    double* scratch;  // bundle_scratch() doubles
 };
 
 // Doubles that `bundle` needs for f free poses, p points and m observations.
 inline size_t bundle_scratch(int f, int keyframes, int p, int m) {
     const size_t n = 6 * static_cast<size_t>(f);
-    return 48 * static_cast<size_t>(f) * f + n * n + 3 * n + 12 * static_cast<size_t>(keyframes) + 15 * static_cast<size_t>(p) +
-           24 * static_cast<size_t>(m);
+    return 48 * static_cast<size_t>(f) * f + n * n + 3 * n + 12 * static_cast<size_t>(keyframes) + 15 * static_cast<size_t>(p) + 24 * static_cast<size_t>(m);
 }
 
 struct TrackingTable {
     void (*shrink)(const GreyImage& image, uint8_t* out, int width, int height, uint16_t* rows);
     void (*blur)(const GreyImage& image, uint8_t* out, uint16_t* rows);
     int (*fast_corners)(const GreyImage& image, int threshold, uint8_t* scores, Corner* corners);
-    void (*describe)(const GreyImage& image, const GreyImage& blurred, const Corner* corners, int count, const float* tests,
-                     uint64_t* descriptors);
+    void (*describe)(const GreyImage& image, const GreyImage& blurred, const Corner* corners, int count, const float* tests, uint64_t* descriptors);
     void (*pair_rows)(const StereoPairArgs&);
     void (*ssd_profile)(const GreyImage& left, const GreyImage& right, int x_left, int y, int x_right, float* cost);
     void (*match_boxes)(const BoxMatchArgs&);

@@ -50,8 +50,7 @@ std::vector<Corner> bucketed(const std::vector<Corner>& corners, int wanted, int
     const int ranks = taken.empty() ? 0 : *std::max_element(taken.begin(), taken.end());
     const CellIndex by_rank(rank, std::max(ranks, 1));
     std::vector<Corner> kept(std::min(corners.size(), static_cast<size_t>(wanted)));
-    for (size_t i = 0; i < kept.size(); ++i)
-        kept[i] = corners[static_cast<size_t>(strongest.order[static_cast<size_t>(by_rank.order[i])])];
+    for (size_t i = 0; i < kept.size(); ++i) kept[i] = corners[static_cast<size_t>(strongest.order[static_cast<size_t>(by_rank.order[i])])];
     return kept;
 }
 
@@ -101,8 +100,8 @@ void OrbExtractor::extract_octave(const GreyImage& image, int octave, const Grey
     const size_t before = out.octave.size();
     out.octave.resize(before + corners.size(), octave);
     out.descriptors.resize(4 * out.octave.size());
-    tracking().describe(image, GreyImage{smooth.get(), image.width, image.height, image.width}, corners.data(), static_cast<int>(corners.size()),
-                        tests_.data(), out.descriptors.data() + 4 * before);
+    tracking().describe(image, GreyImage{smooth.get(), image.width, image.height, image.width}, corners.data(), static_cast<int>(corners.size()), tests_.data(),
+                        out.descriptors.data() + 4 * before);
 }
 
 }  // namespace bgs

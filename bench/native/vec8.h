@@ -31,9 +31,7 @@ typedef int32_t i8 __attribute__((vector_size(32)));
     return v;
 }
 
-[[maybe_unused]] inline void store_part(float* p, f8 v, int n) {
-    std::memcpy(p, &v, sizeof(float) * static_cast<size_t>(n));
-}
+[[maybe_unused]] inline void store_part(float* p, f8 v, int n) { std::memcpy(p, &v, sizeof(float) * static_cast<size_t>(n)); }
 
 [[maybe_unused]] inline f8 splat(float x) { return f8{x, x, x, x, x, x, x, x}; }
 
@@ -89,9 +87,7 @@ typedef int32_t i8 __attribute__((vector_size(32)));
 #endif
 }
 
-[[maybe_unused]] inline float sum(f8 v) {
-    return ((v[0] + v[4]) + (v[1] + v[5])) + ((v[2] + v[6]) + (v[3] + v[7]));
-}
+[[maybe_unused]] inline float sum(f8 v) { return ((v[0] + v[4]) + (v[1] + v[5])) + ((v[2] + v[6]) + (v[3] + v[7])); }
 
 // Sums of eight vectors as one vector.
 [[maybe_unused]] inline f8 sums(f8 a, f8 b, f8 c, f8 d, f8 e, f8 f, f8 g, f8 h) {
