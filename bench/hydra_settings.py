@@ -86,8 +86,11 @@ def _require_folder(folder: Path) -> None:
 
 
 def typed_overrides(overrides: Sequence[str] | Mapping[str, Any]) -> list[str]:
-    """Overrides as typed, ``["stereo=sgbm"]``, also of a mapping, whose keys may be dotted and values mappings."""
-    return list(_typed(overrides)) if isinstance(overrides, Mapping) else list(overrides)
+    """Overrides as typed, ``["stereo=sgbm"]``, also of one alone, and of a mapping, whose keys may be dotted and values
+    mappings."""
+    if isinstance(overrides, Mapping):
+        return list(_typed(overrides))
+    return [overrides] if isinstance(overrides, str) else list(overrides)
 
 
 def _typed(settings: Mapping[str, Any], prefix: str = "") -> Iterator[str]:

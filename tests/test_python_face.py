@@ -55,6 +55,7 @@ def test_settings_as_a_mapping_are_those_that_are_typed() -> None:
     }
     typed = ["stereo=sgbm", "mapper.iterations=3", "mapper.seeding.ground=false", "loss=[rgb,ssim]", "seed=1"]
     assert compose_run(typed_overrides(settings)).values == compose_run(typed).values
+    assert typed_overrides("seed=1") == ["seed=1"]
 
 
 def test_runs_as_a_frame(tmp_path: Path) -> None:
