@@ -105,9 +105,10 @@ class GaussianMapperConfig(PluginConfig):
     """Before the last iterations at full resolution, keyframes seed once more, at every so many pixels (0: not)."""
     refine_error: float = 0.06
     """Where: the mean colour error, of 0 to 1, is above this, or nothing covers the pixel."""
-    revisit_error: float = 0.2
-    """What a chunk on disk covers already is seeded again only where the mean colour error is above this, in both
-    seedings: else each lap of a road would add half of what the first one did."""
+    revisit_error: float = 0.0
+    """What a chunk on disk covers already is seeded again, in both seedings, only where the mean colour error is above
+    this, too. For roads that are driven many times: with 0.2 a second lap adds a third of the first one's Gaussians in
+    place of nine tenths, and is 0.4 dB worse."""
     rasterizer: PluginConfig = plugin_field("rasterizer", "cpu")
     """What renders the Gaussians: `mapper.rasterizer=NAME`, one of `bgs-bench list rasterizer`."""
 

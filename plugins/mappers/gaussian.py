@@ -398,8 +398,8 @@ class GaussianMapper(Mapper):
             error = (shown[..., margin : margin + view.width] - target.image).abs().mean(0)
             error = torch.nn.functional.pad(error, (margin, margin))
             uncovered, wrong = rendered.alpha < seeding.max_alpha, error > seeding.min_error
-            frozen = self._map.frozen_seen_from(view.T_world_cam[:3, 3])
-            if frozen.shape[1]:
+            if c.revisit_error > seeding.min_error:
+                frozen = self._map.frozen_seen_from(view.T_world_cam[:3, 3])
                 known = self._rasterizer.render(frozen, wide, differentiable=False).alpha > seeding.max_alpha
                 wrong &= ~known | (error > c.revisit_error)
             unexplained = (uncovered | wrong).cpu().numpy()
