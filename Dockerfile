@@ -1,6 +1,6 @@
 # bgs-bench on a CPU:
 #   docker build -t bgs-bench .
-#   docker run --rm -v "$PWD/results:/work/results" bgs-bench run
+#   docker run --rm -v "$PWD/results:/bench/results" bgs-bench run
 FROM python:3.11-slim-bookworm AS build
 RUN apt-get update && apt-get install -y --no-install-recommends g++ make git && rm -rf /var/lib/apt/lists/*
 WORKDIR /source
@@ -11,10 +11,10 @@ RUN python -m venv /opt/bgs-bench && /opt/bgs-bench/bin/pip install --no-cache-d
 
 FROM python:3.11-slim-bookworm
 RUN apt-get update && apt-get install -y --no-install-recommends libgomp1 && rm -rf /var/lib/apt/lists/* \
-    && useradd --create-home bench && mkdir /work && chown bench /work
+    && useradd --create-home bench && mkdir /bench && chown bench /bench
 COPY --from=build /opt/bgs-bench /opt/bgs-bench
 ENV PATH=/opt/bgs-bench/bin:$PATH
 USER bench
-WORKDIR /work
+WORKDIR /bench
 ENTRYPOINT ["bgs-bench"]
 CMD ["--help"]

@@ -13,6 +13,7 @@ import mmap
 import os
 import re
 import struct
+import threading
 import weakref
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -50,6 +51,7 @@ class ArrayStore:
         self.folder = Path(folder)
         self._verified: set[str] = set()
         self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+        self._maps_lock = threading.Lock()  # one thread may read while another releases
 
     def put(self, name: str, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         """Write a set of arrays of numbers or bools, of any shapes; when this returns it is on disk.
@@ -96,14 +98,16 @@ class ArrayStore:
             why = first_line(error)
             raise DamagedError(f"{path} is damaged: {why}. Start the run anew, or put a whole copy there.") from error
         self._verified.add(name)
-        self._maps.add(content)
+        with self._maps_lock:
+            self._maps.add(content)
         return arrays
 
     def release(self) -> None:
         """What is mapped no longer counts as this process's memory until it is read again; the maps stay valid."""
         if hasattr(mmap, "MADV_DONTNEED"):
-            for content in self._maps:
-                content.madvise(mmap.MADV_DONTNEED)
+            with self._maps_lock:
+                for content in self._maps:
+                    content.madvise(mmap.MADV_DONTNEED)
 
     def names(self) -> list[str]:
         """Names of all sets, sorted."""

@@ -178,17 +178,6 @@ BAD_VKITTI2: dict[str, tuple[Damage | None, dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_VKITTI2)
-def test_what_is_wrong_in_vkitti2_is_said(case: str, tmp_path: Path) -> None:
-    damage, settings, message = BAD_VKITTI2[case]
-    folder = write_vkitti2(tmp_path)
-    if damage is not None:
-        damage(folder)
-    with pytest.raises(BenchError, match=message) as caught:
-        opened_vkitti2(tmp_path, **settings)
-    assert "\n" not in str(caught.value)
-
-
 NPY = "depth_left/000001_left_depth.npy"
 BAD_TARTANAIR: dict[str, tuple[Damage | None, dict[str, Any], str]] = {
     "no sequence": (None, {"sequence": "P9"}, r"P9 holds no folder image_left or .* there are hospital/Easy/P001\."),
@@ -200,14 +189,27 @@ BAD_TARTANAIR: dict[str, tuple[Damage | None, dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_TARTANAIR)
-def test_what_is_wrong_in_tartanair_is_said(case: str, tmp_path: Path) -> None:
-    damage, settings, message = BAD_TARTANAIR[case]
-    folder = write_tartanair(tmp_path)
+@pytest.mark.parametrize(
+    ("write", "opened", "damage", "settings", "message"),
+    [pytest.param(write_vkitti2, opened_vkitti2, *case, id=f"vkitti2 {name}") for name, case in BAD_VKITTI2.items()]
+    + [
+        pytest.param(write_tartanair, opened_tartanair, *case, id=f"tartanair {name}")
+        for name, case in BAD_TARTANAIR.items()
+    ],
+)
+def test_what_is_wrong_is_said(
+    write: Callable[[Path], Path],
+    opened: Callable[..., Dataset],
+    damage: Damage | None,
+    settings: dict[str, Any],
+    message: str,
+    tmp_path: Path,
+) -> None:
+    folder = write(tmp_path)
     if damage is not None:
         damage(folder)
     with pytest.raises(BenchError, match=message) as caught:
-        opened_tartanair(tmp_path, **settings)
+        opened(tmp_path, **settings)
     assert "\n" not in str(caught.value)
 
 

@@ -115,10 +115,10 @@ class LoopCloser:
         self._places.append(place)
         similarities = self._enter_index()
         self._at_places = poses[self._places.keyframes]
-        if similarities is None or not self._closing:
-            return None
-        self._follow(similarities)
-        closure = self._close(poses)
+        closure = None
+        if similarities is not None and self._closing:
+            self._follow(similarities)
+            closure = self._close(poses)
         self._archive.release()
         return closure
 
