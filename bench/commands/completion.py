@@ -27,7 +27,7 @@ with plugins of your own (--plugins FOLDER).
 # the answers. What is no word of ours is completed as a file.
 _SCRIPT = """\
 _bgs_bench() {
-    local line="${COMP_LINE:0:COMP_POINT}" cut="" answer words
+    local line="${COMP_LINE:0:$COMP_POINT}" cut="" answer words
     local current="${line##* }" overrides="@overrides@"
     case "$([ "$COMP_CWORD" -gt 1 ] && echo "${COMP_WORDS[1]}")" in
         "") words="@commands@" ;;
