@@ -13,7 +13,7 @@ ifneq ($(wildcard ../shared/weights),)
 export BGS_WEIGHTS ?= $(abspath ../shared/weights)
 endif
 
-.PHONY: install run test quick check fuzz bench sanitize gpu-check map-viewer browser-test docs wheels wheel-test clean
+.PHONY: install run test quick check fuzz bench sanitize aarch64 gpu-check map-viewer browser-test docs wheels wheel-test clean
 
 install: $(STAMP)
 
@@ -84,6 +84,11 @@ sanitize: $(TESTING)
 		UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 \
 		$(BIN)/python -m pytest -p tools.sanitized_core $(CORE_TESTS) || exit 1; \
 	done
+
+# The core's kernels for aarch64 under qemu-user against those for x86-64; needs Debian's g++-aarch64-linux-gnu and qemu-user.
+aarch64: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt cmake
+	$(BIN)/python -m tools.core_on_aarch64
 
 # What writes the report's maps in 3D; needs node 18 or newer and npm. bench/report/pages/map_page.py names the version too.
 map-viewer:

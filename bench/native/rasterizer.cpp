@@ -10,6 +10,23 @@
 
 namespace bgs {
 
+View view_of(const double* T_cam_world, float fx, float fy, float cx, float cy, int width, int height) {
+    const auto T = [&](int row, int column) { return T_cam_world[4 * row + column]; };
+    View v{};
+    for (int r = 0; r < 3; ++r) {
+        for (int c = 0; c < 3; ++c) v.R[3 * r + c] = static_cast<float>(T(r, c));
+        v.t[r] = static_cast<float>(T(r, 3));
+    }
+    for (int k = 0; k < 3; ++k) v.center[k] = static_cast<float>(-(T(0, k) * T(0, 3) + T(1, k) * T(1, 3) + T(2, k) * T(2, 3)));
+    v.fx = fx, v.fy = fy, v.cx = cx, v.cy = cy, v.width = width, v.height = height;
+    // As in gsplat, where pixel centres are at .5.
+    constexpr auto margin = static_cast<float>(JACOBIAN_MARGIN);
+    const float margin_x = margin * static_cast<float>(width) / fx, margin_y = margin * static_cast<float>(height) / fy;
+    v.x_over_z_min = -((cx + 0.5f) / fx + margin_x), v.x_over_z_max = (static_cast<float>(width) - cx - 0.5f) / fx + margin_x;
+    v.y_over_z_min = -((cy + 0.5f) / fy + margin_y), v.y_over_z_max = (static_cast<float>(height) - cy - 0.5f) / fy + margin_y;
+    return v;
+}
+
 // Records of the visible Gaussians, nearest first in the list of each tile.
 void Workspace::project(const float* planes, size_t stride, int count, int degree, const View& view) {
     view_ = view, count_ = count, degree_ = degree;

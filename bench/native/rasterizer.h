@@ -5,6 +5,9 @@
 
 namespace bgs {
 
+// T_cam_world: row-major 4x4, camera from world; focal lengths and principal point in pixels.
+View view_of(const double* T_cam_world, float fx, float fy, float cx, float cy, int width, int height);
+
 // One render: what the forward pass leaves for the backward pass.
 class Workspace {
 public:

@@ -14,21 +14,7 @@ namespace {
 bgs::View view_of(const Matrix& T_cam_world, float fx, float fy, float cx, float cy, int width, int height) {
     require(width > 0 && height > 0 && width <= 32000 && height <= 32000, "image size must be between 1 and 32000 px");
     require(fx > 0 && fy > 0, "focal lengths must be positive");
-    bgs::View v{};
-    for (int r = 0; r < 3; ++r) {
-        for (int c = 0; c < 3; ++c) v.R[3 * r + c] = static_cast<float>(T_cam_world(r, c));
-        v.t[r] = static_cast<float>(T_cam_world(r, 3));
-    }
-    for (int k = 0; k < 3; ++k)
-        v.center[k] =
-            static_cast<float>(-(T_cam_world(0, k) * T_cam_world(0, 3) + T_cam_world(1, k) * T_cam_world(1, 3) + T_cam_world(2, k) * T_cam_world(2, 3)));
-    v.fx = fx, v.fy = fy, v.cx = cx, v.cy = cy, v.width = width, v.height = height;
-    // As in gsplat, where pixel centres are at .5.
-    constexpr auto margin = static_cast<float>(bgs::JACOBIAN_MARGIN);
-    const float margin_x = margin * static_cast<float>(width) / fx, margin_y = margin * static_cast<float>(height) / fy;
-    v.x_over_z_min = -((cx + 0.5f) / fx + margin_x), v.x_over_z_max = (static_cast<float>(width) - cx - 0.5f) / fx + margin_x;
-    v.y_over_z_min = -((cy + 0.5f) / fy + margin_y), v.y_over_z_max = (static_cast<float>(height) - cy - 0.5f) / fy + margin_y;
-    return v;
+    return bgs::view_of(T_cam_world.data(), fx, fy, cx, cy, width, height);
 }
 
 int degree_of(const Planes& planes) {
