@@ -142,12 +142,12 @@ def test_runs_of_one_name_keep_their_order(tmp_path: Path) -> None:
 def test_other_protocols_are_left_out_and_said(runs: Path, tmp_path: Path) -> None:
     """Three runs by protocol paper and one by default: the cell shows the three, and the note names what differs."""
     table = make_table("ablation", [runs])
-    assert "20.33 ± 0.33 (3" in table.text("md", tmp_path)
+    assert "| Ours (full) | 3 | 20.33 ± 0.33 |" in table.text("md", tmp_path)
     note = "Ours (full), 03: 1 run with other settings (dataset.weights, protocol.name) not shown"
     assert any(text.startswith(note) for text in table.notes)
     assert "Our numbers are by protocol paper." in table.notes
     alone = make_table("ablation", [runs / "other"])
-    assert "9.00 (1" in alone.text("md", tmp_path)
+    assert "| Ours (full) | 1 | 9.00 |" in alone.text("md", tmp_path)
     assert "All our numbers are by protocol default, not paper." in alone.notes
     make_run(runs / "w", config("03", losses=("rgb", "ssim", "geo", "smooth")), metrics(801, psnr_db=21.0))
     both = make_table("ablation", [runs / "other", runs / "w"])
@@ -160,15 +160,15 @@ def test_a_run_scored_again_under_another_protocol_counts_as_that(tmp_path: Path
     scores = metrics(801, psnr_db=30.0) | {"protocol": {"name": "default", "alignment": "se3"}}
     make_run(tmp_path / "b", config("03", seed=1), scores)
     text = make_table("ablation", [tmp_path]).text("md", tmp_path)
-    assert "20.00 (1)" in text
+    assert "| Ours (full) | 1 | 20.00 |" in text
     assert "25.00" not in text
 
 
 def test_views_of_a_record_are_kept_and_can_be_changed(runs: Path, tmp_path: Path) -> None:
     make_table("ablation", [runs], "heldout").write(tmp_path)
     record = tmp_path / f"ablation{SUFFIX}"
-    assert "19.00 ± 1.00 (3" in make_table("ablation", [record]).text("md", tmp_path)
-    assert "20.33 ± 0.33 (3" in make_table("ablation", [record], "left").text("md", tmp_path)
+    assert "| Ours (full) | 3 | 19.00 ± 1.00 |" in make_table("ablation", [record]).text("md", tmp_path)
+    assert "| Ours (full) | 3 | 20.33 ± 0.33 |" in make_table("ablation", [record], "left").text("md", tmp_path)
 
 
 def test_the_table_of_runs_reads_records_too(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -180,7 +180,7 @@ def test_the_table_of_runs_reads_records_too(runs: Path, tmp_path: Path, capsys:
     assert sorted((tmp_path / "b.csv").read_text().splitlines()) == in_order
     assert (tmp_path / f"again{SUFFIX}").read_bytes() == record.read_bytes()
     assert main(["table", "ablation", str(record), "--format", "md"]) == 0
-    assert "20.33 ± 0.33 (3" in capsys.readouterr().out
+    assert "| Ours (full) | 3 | 20.33 ± 0.33 |" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

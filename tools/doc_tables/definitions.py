@@ -42,28 +42,30 @@ _SETTINGS = (
     "system=bgs_slam_letter",
     "system=bgs_slam_letter stereo=lidar",
 )
-_TRAIN = ("views.train.psnr_db", "views.train.ssim", "views.train.lpips")
 _MEASURED = (
-    RunColumn("train dB / SSIM / LPIPS", figures("{:.2f} / {:.3f} / {:.3f}", *_TRAIN)),
-    RunColumn("held-out left dB / SSIM", figures("{:.2f} / {:.3f}", "views.heldout.psnr_db", "views.heldout.ssim")),
-    RunColumn("right camera dB / SSIM", figures("{:.2f} / {:.3f}", "views.right.psnr_db", "views.right.ssim")),
-    RunColumn("Depth-L1", figures("{:.0f}", "views.left.depth_l1_cm")),
-    RunColumn("ATE", figures("{:.3f} m", "trajectory.ate_rmse_m")),
-    RunColumn("Gaussians", figures("{:.0f} k", "map.gaussians", scale=1e-3)),
-    RunColumn("memory", figures("{:.2f} GB", "resources.peak_memory_gb")),
-    RunColumn("stages", figures("{:.2f}", _STAGES)),
-    RunColumn("wall", figures("{:.2f}", "resources.wall_s_per_frame")),
+    RunColumn("PSNR dB", figures("{:.2f}", "views.train.psnr_db")),
+    RunColumn("SSIM", figures("{:.3f}", "views.train.ssim")),
+    RunColumn("LPIPS", figures("{:.3f}", "views.train.lpips")),
+    RunColumn("held-out dB", figures("{:.2f}", "views.heldout.psnr_db")),
+    RunColumn("held-out SSIM", figures("{:.3f}", "views.heldout.ssim")),
+    RunColumn("right dB", figures("{:.2f}", "views.right.psnr_db")),
+    RunColumn("right SSIM", figures("{:.3f}", "views.right.ssim")),
+    RunColumn("Depth-L1 cm", figures("{:.0f}", "views.left.depth_l1_cm")),
+    RunColumn("ATE m", figures("{:.3f}", "trajectory.ate_rmse_m")),
+    RunColumn("Gaussians k", figures("{:.0f}", "map.gaussians", scale=1e-3)),
+    RunColumn("memory GB", figures("{:.2f}", "resources.peak_memory_gb")),
+    RunColumn("stages s", figures("{:.2f}", _STAGES)),
+    RunColumn("wall s", figures("{:.2f}", "resources.wall_s_per_frame")),
 )
 
 # Columns and rows of the short table.
 _SHORT = {
     "SETTINGS": "",
-    "train dB / SSIM / LPIPS": "PSNR dB / SSIM / LPIPS",
-    "held-out left dB / SSIM": "held-out views",
-    "Depth-L1": "Depth-L1, cm",
-    "ATE": "ATE",
-    "memory": "memory",
-    "wall": "s per frame",
+    **{
+        name: name
+        for name in ("PSNR dB", "SSIM", "LPIPS", "held-out dB", "held-out SSIM", "Depth-L1 cm", "ATE m", "memory GB")
+    },
+    "wall s": "s per frame",
 }
 _SHORT_ROWS = (
     *("`system=bgs_slam_fast`", "`system=bgs_slam`", "`system=bgs_slam_best`", "`system=bgs_slam_paper`"),
@@ -105,26 +107,27 @@ def _of_the_paper(method: str, label: str) -> FixedRow:
     by_metric = {value.metric: value.value for value in values if value.sequence in ("06", "average")} | {
         value.metric: value.value for value in values if value.sequence == "06"
     }
-    memory, mapping = by_metric.get("peak_memory_gb"), by_metric.get("mapping_s_per_frame")
+    stages = [by_metric.get(f"{stage}_s_per_frame") for stage in ("tracking", "mapping")]
     cells = [
         f"paper, {label}, sequence 06",
-        f"{by_metric['psnr_db']} / {by_metric['ssim']} / {by_metric['lpips']} (all views)",
-        *("", ""),
+        *(by_metric[key] for key in ("psnr_db", "ssim", "lpips")),
+        *("", "", "", ""),
         f"{float(by_metric['depth_l1_cm']):.0f}",
-        f"{by_metric['ate_rmse_m']} m",
+        by_metric["ate_rmse_m"],
         "",
-        f"{memory} GB" if memory else "",
-        f"{by_metric['tracking_s_per_frame']} + {mapping}" if mapping else "",
+        by_metric.get("peak_memory_gb") or "",
+        f"{sum(map(float, stages)):.2f}" if all(stages) else "",
         "",
     ]
     return FixedRow(tuple(f"*{cell}*" if cell else "" for cell in cells))
 
 
-_TRACKER_ROWS: tuple[tuple[str, tuple[str, ...], str, float], ...] = (
-    ("t_rel over 10-50 m", ("trajectory.t_rel_short_percent",), "{:.3f} %", 1.0),
-    ("ATE", ("trajectory.ate_rmse_m",), "{:.3f} m", 1.0),
-    ("RPE, mean / RMSE", ("trajectory.rpe_trans_mean_m", "trajectory.rpe_trans_rmse_m"), "{:.1f} / {:.1f} mm", 1e3),
-    ("time per frame", ("resources.tracking_s_per_frame",), "{:.3f} s", 1.0),
+_TRACKER_ROWS: tuple[tuple[str, str, str, float], ...] = (
+    ("t_rel over 10-50 m, %", "trajectory.t_rel_short_percent", "{:.3f}", 1.0),
+    ("ATE, m", "trajectory.ate_rmse_m", "{:.3f}", 1.0),
+    ("RPE, mean, mm", "trajectory.rpe_trans_mean_m", "{:.1f}", 1e3),
+    ("RPE, RMSE, mm", "trajectory.rpe_trans_rmse_m", "{:.1f}", 1e3),
+    ("time per frame, s", "resources.tracking_s_per_frame", "{:.3f}", 1.0),
 )
 
 
@@ -136,10 +139,9 @@ def _trackers(kept: Path, folder: Path) -> str:
     if not all(members.values()):
         raise BenchError(f"{file} needs runs of both trackers, stereo_orb and orbslam3. Keep both sweeps' runs.")
     rows = []
-    for label, paths, form, scale in _TRACKER_ROWS:
-        ours, theirs = ([median(found, path) * scale for path in paths] for found in members.values())
-        ratios = " / ".join(f"{one / other:.2f}" for one, other in zip(ours, theirs, strict=True))
-        rows.append([label, form.format(*ours), form.format(*theirs), ratios])
+    for label, path, form, scale in _TRACKER_ROWS:
+        ours, theirs = (median(found, path) * scale for found in members.values())
+        rows.append([label, form.format(ours), form.format(theirs), f"{ours / theirs:.2f}"])
     counts = " and ".join(str(len(found)) for found in members.values())
     table = text_table(["", "stereo_orb", "ORB-SLAM3", "ratio"], rows)
     return f"{table}\n\nMedians of {counts} runs. {made_by(runs, file, folder)}"
@@ -171,14 +173,15 @@ def _loops(run: RunRecord) -> str:
 
 
 _STEREO_COLUMNS = (
-    ("EPE [px]", ("epe_px",), "{:.2f}"),
-    ("D1 [%]", ("d1_percent",), "{:.1f}"),
-    ("filled [%]", ("density_percent",), "{:.0f}"),
-    ("ms per pair", ("ms_per_frame",), "{:.0f}"),
-    ("PSNR all / held-out [dB]", ("psnr_db", "heldout_psnr_db"), "{:.2f} / {:.2f}"),
-    ("LPIPS", ("lpips",), "{:.3f}"),
-    ("Depth-L1 [cm]", ("depth_l1_cm",), "{:.0f}"),
-    ("s per frame", ("s_per_frame",), "{:.2f}"),
+    ("EPE [px]", "epe_px", "{:.2f}"),
+    ("D1 [%]", "d1_percent", "{:.1f}"),
+    ("filled [%]", "density_percent", "{:.0f}"),
+    ("ms per pair", "ms_per_frame", "{:.0f}"),
+    ("PSNR [dB]", "psnr_db", "{:.2f}"),
+    ("held-out [dB]", "heldout_psnr_db", "{:.2f}"),
+    ("LPIPS", "lpips", "{:.3f}"),
+    ("Depth-L1 [cm]", "depth_l1_cm", "{:.0f}"),
+    ("s per frame", "s_per_frame", "{:.2f}"),
 )
 _STEREO_NAMES = {"onnx": "onnx stereo.preset=nvtiny"}
 
@@ -191,38 +194,47 @@ def _stereo(kept: Path, folder: Path) -> str:
     lines = []
     for row in rows:
         cells = [f"`{_STEREO_NAMES.get(row['stereo'], row['stereo'])}`"]
-        for _, keys, form in _STEREO_COLUMNS:
-            values = [row.get(key, "") for key in keys]
-            cells.append(form.format(*map(float, values)) if all(values) else "")
+        for _, key, form in _STEREO_COLUMNS:
+            value = row.get(key, "")
+            cells.append(form.format(float(value)) if value else "")
         lines.append(cells)
     table = text_table(["stereo", *(heading for heading, _, _ in _STEREO_COLUMNS)], lines)
     return f"{table}\n\n*[numbers]({link(file, folder)})*"
 
 
 _UNSEEN_COLUMNS = (
-    ("held-out left dB", "heldout_psnr_db", ".2f"),
-    ("right camera dB", "right_psnr_db", ".2f"),
-    ("train and held-out dB", "psnr_db", ".2f"),
+    ("held-out dB", "heldout_psnr_db", ".2f"),
+    ("right dB", "right_psnr_db", ".2f"),
+    ("all left dB", "psnr_db", ".2f"),
     ("Depth-L1 cm", "depth_l1_cm", ".1f"),
 )
 
 
 def _unseen(kept: Path, folder: Path) -> str:
-    """One line per row of the table of unseen views: each sequence's mean and standard deviation over the seeds."""
+    """One line per row of the table of unseen views: each sequence's mean over the seeds, and below it how far these
+    spread at most."""
     with (kept / "unseen.csv").open(newline="", encoding="utf-8") as opened:
         rows = [row for row in csv.DictReader(opened) if row["by"] == "ours"]
     cells = {(row["method"], row["metric"], row["sequence"]): row for row in rows}
     sequences = list(dict.fromkeys(row["sequence"] for row in rows if row["status"] != "average"))[:2]
-    lines = []
-    for method in dict.fromkeys(row["method"] for row in rows):
-        line = [method]
-        for _, metric, form in _UNSEEN_COLUMNS:
-            of = [cells[method, metric, sequence] for sequence in sequences]
-            line.append(" / ".join(f"{float(cell['value']):{form}} ± {float(cell['std']):{form}}" for cell in of))
-        lines.append(line)
-    headings = [f"{heading}, {' / '.join(sequences)}" for heading, _, _ in _UNSEEN_COLUMNS]
+    columns = [
+        (f"{heading}, {sequence}", metric, sequence, form)
+        for heading, metric, form in _UNSEEN_COLUMNS
+        for sequence in sequences
+    ]
+    methods = dict.fromkeys(row["method"] for row in rows)
+    lines = [
+        [method, *(f"{float(cells[method, metric, at]['value']):{form}}" for _, metric, at, form in columns)]
+        for method in methods
+    ]
+    spreads = [
+        f"{max(float(cells[method, metric, sequence]['std']) for method in methods):{form}}"
+        for _, metric, sequence, form in columns
+    ]
+    lines.append([f"*{cell}*" for cell in ("largest standard deviation above", *spreads)])
     more = f"[all notes]({link(kept / 'unseen.md', folder)}), [record]({link(kept / f'unseen{SUFFIX}', folder)})"
-    return f"{text_table(['', *headings], lines)}\n\n*seeds {rows[0]['seeds']}; {more}*"
+    table = text_table(["", *(heading for heading, _, _, _ in columns)], lines)
+    return f"{table}\n\n*means over seeds {rows[0]['seeds']}; {more}*"
 
 
 _MM = "`torch.mm` of 1024^3"
@@ -264,7 +276,18 @@ def _performance(kept: Path, folder: Path) -> str:
 
 # Of a paper's table, what says what its numbers are; other notes are on single runs, and on the published numbers.
 _SHOWN_NOTES = (
-    *("Line ours", "Lines ours", "Rules of", "†", "Frames that were", "Our numbers", "All our", "By protocol"),
+    *(
+        "Line ours",
+        "Lines ours",
+        "Ours: mean",
+        "Mean ±",
+        "Rules of",
+        "†",
+        "Frames that were",
+        "Our numbers",
+        "All our",
+        "By protocol",
+    ),
     *("Settings", "Made"),
 )
 

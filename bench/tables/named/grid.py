@@ -19,7 +19,7 @@ OURS, PAPER, ELSEWHERE, COMPUTED = "ours", "paper", "elsewhere", "computed"
 COLUMNS = ("both", "ours", "paper")
 """Whose numbers a table may show: those of our runs, of the paper (and what it has from elsewhere), or both."""
 COMPARED = "vs. paper"
-"""The paper's number of another method, below ours of a method that the paper does not have."""
+"""The paper's number of another method, with ours of a method that the paper does not have."""
 WITHHELD = "withheld"
 
 
@@ -35,13 +35,17 @@ class Line:
 
 @dataclass(frozen=True)
 class Grid:
-    """``columns`` head the cells; ``blocks`` are the methods, each with its lines."""
+    """``columns`` head the cells; ``blocks`` are the methods, each with its lines.
+
+    ``beside``: a method is shown as one line, with the paper's numbers beside ours.
+    """
 
     name: str
     title: str
     columns: tuple[Column, ...]
     blocks: tuple[tuple[Line, ...], ...]
     has_metric_column: bool
+    beside: bool = False
 
 
 @dataclass(frozen=True)
@@ -112,8 +116,9 @@ def build_grid(filled: FilledTable, published: PublishedNumbers, columns_of: str
     across_sequences = table.across == "sequences"
     columns = [_sequence_column(filled, sequence) for sequence in table.sequences] + [Column("Average", align="right")]
     columns = columns if across_sequences else [Column(heading(metric), align="right") for metric in table.metrics]
-    shown = tuple(_dagger_at_name(block) for block in [*marked, *static, *from_elsewhere] if block)
-    return Grid(table.name, table.title, tuple(columns), shown, across_sequences)
+    shown = [tuple(block) for block in [*marked, *static, *from_elsewhere] if block]
+    shown = [_dagger_at_name(block) for block in shown] if across_sequences else shown
+    return Grid(table.name, table.title, tuple(columns), tuple(shown), across_sequences, not across_sequences)
 
 
 class _Builder:
@@ -174,14 +179,18 @@ class _Builder:
         return replace(found, links=links)
 
     def _paper_cell(self, row: MethodRow, method: str, slot: _Slot) -> Cell:
-        """The paper's number, and in brackets how far ours is from it; a dagger is on the method's name."""
+        """The paper's number, and in brackets how far ours is from it; a dagger is on the method's name.
+
+        Beside ours of a method that the paper does not have, the difference alone.
+        """
         published = self._published_at(method, slot)
         shown = _published_cell(published)
         ours = self._our_cell(row, slot).value if self._columns_of == "both" else None
+        is_anothers = not row.published and self._filled.table.across == "metrics"
         if published is None or shown.value is None or ours is None:
-            return shown
-        decimals = len(published.value.partition(".")[2])
-        return replace(shown, text=f"{shown.text} ({signed(ours - shown.value, decimals)})")
+            return Cell() if is_anothers else shown
+        difference = f"({signed(ours - shown.value, len(published.value.partition('.')[2]))})"
+        return replace(shown, text=difference if is_anothers else f"{shown.text} {difference}")
 
 
 def _published_cell(published: PublishedValue | None) -> Cell:
@@ -281,11 +290,11 @@ def _mark_best(blocks: Sequence[list[Line]], by: str, metrics: Sequence[Metric])
     return [[marked(line) for line in block] for block in blocks]
 
 
-def _dagger_at_name(block: Sequence[Line]) -> tuple[Line, ...]:
+def _dagger_at_name(block: tuple[Line, ...]) -> tuple[Line, ...]:
     """Put the dagger on the method's name where all its numbers have one, as the paper does."""
     known = [cell for line in block for cell in line.cells if cell.value is not None]
     if not known or not all(cell.mark for cell in known):
-        return tuple(block)
+        return block
     return tuple(
         replace(line, method=line.method + DAGGER, cells=tuple(replace(cell, mark="") for cell in line.cells))
         for line in block

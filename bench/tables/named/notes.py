@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from bench.tables.collect import Row
 from bench.tables.named.definitions import NamedTable
 from bench.tables.named.fill import FilledTable, differences
-from bench.tables.named.grid import CROSS, DAGGER, Grid, PublishedNumbers
+from bench.tables.named.grid import COMPARED, CROSS, DAGGER, OURS, PAPER, Grid, PublishedNumbers
 from bench.tables.named.published import AVERAGE, PublishedValue
 from bench.tables.records.made import made_in_words
 from bench.tables.records.record import VIEW_GROUPS, RunRecord
@@ -71,17 +71,29 @@ def notes(
     return found + (_about_published(table, published, grid) if columns_of == "both" else [])
 
 
-_LEGENDS = {
-    "both": "Lines ours: mean ± sample standard deviation over seeds (number of runs); below it the paper's number, "
-    "and in brackets ours minus the paper's. Bold: the best of the paper's numbers, and the best of ours.",
-    "ours": "Lines ours: mean ± sample standard deviation over seeds (number of runs). Bold: the best.",
-    "paper": "Numbers as they were published. Bold: the best.",
-}
+def _numbers(filled: FilledTable, grid: Grid) -> str:
+    """Whose numbers there are, and how they are to be read."""
+    sides = {line.by for block in grid.blocks for line in block}
+    if OURS not in sides:
+        return "Numbers as they were published. Bold: the best."
+    mean = f"ean ± sample standard deviation over seeds ({'Runs: how many' if grid.beside else 'number of runs'})"
+    if not sides & {PAPER, COMPARED}:
+        return f"M{mean}. Bold: the best."
+    whose, where = ("Ours", "beside") if grid.beside else ("Lines ours", "below")
+    alone = ""
+    if grid.beside and COMPARED in sides:
+        methods = {line.method for block in grid.blocks for line in block if line.by == COMPARED}
+        others = dict.fromkeys(row.compared_with for row in filled.table.rows if row.label in methods)
+        alone = f" (alone where the paper has no such method: minus its {', '.join(others)})"
+    return (
+        f"{whose}: m{mean}; {where} it the paper's number, and in brackets ours minus the paper's{alone}. "
+        "Bold: the best of the paper's numbers, and the best of ours."
+    )
 
 
 def _legend(filled: FilledTable, grid: Grid, views: str, columns_of: str) -> str:
     cells = [cell for block in grid.blocks for line in block for cell in line.cells]
-    text = _LEGENDS[columns_of]
+    text = _numbers(filled, grid)
     if any(column.below for column in grid.columns):
         text += " Below a sequence: km/frames, as in the paper."
     if any(DAGGER in line.method for block in grid.blocks for line in block) or any(cell.mark for cell in cells):
@@ -103,13 +115,30 @@ def _withheld(filled: FilledTable) -> list[str]:
     return [f"{name}: {facts.withheld}." for name, facts in filled.facts.items() if facts.withheld]
 
 
+# From how many rows on a note says "all", and how many it then excepts.
+_FEW_ROWS, _EXCEPTED = 3, 2
+
+
+def _listed(rows: Sequence[str], of: Sequence[str]) -> str:
+    """The rows by name, or which of all they are not."""
+    others = [row for row in of if row not in rows]
+    if len(rows) <= _FEW_ROWS or len(others) > _EXCEPTED:
+        return ", ".join(rows)
+    return f"all rows of ours but {', '.join(others)}" if others else "all rows of ours"
+
+
 def _parts(filled: FilledTable) -> list[str]:
     """Which cells are of part of a sequence, and of how much."""
-    by_amount: dict[str, list[str]] = defaultdict(list)
+    by_amount: dict[tuple[str, int], list[str]] = defaultdict(list)
+    of_sequence: dict[str, list[str]] = defaultdict(list)
     for (row, sequence), cell in filled.cells.items():
+        of_sequence[sequence] += [row] if cell.shown else []
         if cell.is_part:
-            by_amount[f"{cell.frames} of {filled.facts[sequence].frames} frames of {sequence}"].append(row)
-    return [f"{DAGGER} {amount}: {', '.join(rows)}." for amount, rows in by_amount.items()]
+            by_amount[sequence, cell.frames].append(row)
+    return [
+        f"{DAGGER} {frames} of {filled.facts[name].frames} frames of {name}: {_listed(rows, of_sequence[name])}."
+        for (name, frames), rows in by_amount.items()
+    ]
 
 
 def _weak_or_lost(filled: FilledTable) -> list[str]:
@@ -152,7 +181,8 @@ def _settings(filled: FilledTable) -> list[str]:
         text = "; ".join([*parts, f"seeds {seeds or 'none'}"])
         if row not in users[text]:
             users[text].append(row)
-    return [f"Settings of {', '.join(rows)}: {text}." for text, rows in users.items()]
+    known = list(dict.fromkeys(row for row, _ in filled.cells))
+    return [f"Settings of {_listed(rows, known)}: {text}." for text, rows in users.items()]
 
 
 def _fewer_iterations(filled: FilledTable) -> list[str]:
