@@ -107,7 +107,8 @@ def _of_the_paper(method: str, label: str) -> FixedRow:
     by_metric = {value.metric: value.value for value in values if value.sequence in ("06", "average")} | {
         value.metric: value.value for value in values if value.sequence == "06"
     }
-    stages = [by_metric.get(f"{stage}_s_per_frame") for stage in ("tracking", "mapping")]
+    keys = ("tracking_s_per_frame", "mapping_s_per_frame")
+    stages = [float(value) for key in keys if (value := by_metric.get(key))]
     cells = [
         f"paper, {label}, sequence 06",
         *(by_metric[key] for key in ("psnr_db", "ssim", "lpips")),
@@ -116,7 +117,7 @@ def _of_the_paper(method: str, label: str) -> FixedRow:
         by_metric["ate_rmse_m"],
         "",
         by_metric.get("peak_memory_gb") or "",
-        f"{sum(map(float, stages)):.2f}" if all(stages) else "",
+        f"{sum(stages):.2f}" if len(stages) == len(keys) else "",
         "",
     ]
     return FixedRow(tuple(f"*{cell}*" if cell else "" for cell in cells))
