@@ -40,6 +40,8 @@ class GaussianMapperConfig(PluginConfig):
     """Probability that a view is the newest keyframe."""
     window_share: float = 0.5
     """Probability that a view is another keyframe of the window; else it is an older one."""
+    older_views: str = "by_age"
+    """How an older one is drawn: by_age, in proportion to the steps since it was last learned from, or uniform."""
     position_rate: float = 2e-4
     """Adam's rate of positions, in metres per metre of depth at birth."""
     color_rate: float = 1e-2
@@ -130,6 +132,7 @@ class GaussianMapperConfig(PluginConfig):
         require_choice("mapper.camera_color", self.camera_color, CAMERA_COLORS)
         rates = ("position_rate", "color_rate", "opacity_rate", "scale_rate", "rotation_rate", "pose_refinement")
         require_least("mapper", self, cached_targets=1, **dict.fromkeys(rates, 0))
+        require_choice("mapper.older_views", self.older_views, ("by_age", "uniform"))
         if min(self.newest_share, self.window_share) < 0 or self.newest_share + self.window_share > 1:
             raise BenchError(
                 "mapper.newest_share + mapper.window_share must lie between 0 and 1; the rest is older views."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,7 @@ class Replay:
         self._before: Trajectory | None = None
         self._views: dict[tuple[int, bool], PinholeView] = {}
         self._targets: OrderedDict[tuple[int, bool, bool], Target] = OrderedDict()
+        self._learned_at: dict[int, int] = {}
 
     def use_store(self, store: ArrayStore) -> None:
         """Where keyframes go that are let go; before the first one."""
@@ -87,6 +88,21 @@ class Replay:
             return right_target_of(keyframe, view, c.depth_range_m, self._device)
         return target_of(keyframe, view, c.depth_range_m, self._device, c.color_pixels, self._ignored(number))
 
+    def learned(self, number: int, step: int) -> None:
+        """Step ``step`` of the optimizer learned from this keyframe."""
+        self._learned_at[number] = step
+
+    def older(self, among: Sequence[int], step: int, random: np.random.Generator) -> int:
+        """One of these keyframes by ``mapper.older_views``; ``step`` is that of the optimizer now."""
+        if self._config.older_views == "uniform":
+            return among[int(random.integers(len(among)))]
+        ages = np.array([step + 1 - self._learned_at.get(number, 0) for number in among], float)
+        return among[int(random.choice(len(among), p=ages / ages.sum()))]
+
+    def forget_ages_but(self, live: Sequence[int]) -> None:
+        """Of these alone it still matters when they were last learned from."""
+        self._learned_at = {number: self._learned_at[number] for number in live if number in self._learned_at}
+
     def let_go(self, number: int) -> None:
         """A keyframe goes to disk, from where it comes back when it is asked for; ``BenchError`` if it can't be
         written."""
@@ -106,8 +122,9 @@ class Replay:
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint; ``stored``: names in the store."""
-        return self.keyframes.state()
+        return self.keyframes.state() | {"learned_at": dict(self._learned_at)}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Resume from what ``state`` gave."""
         self.keyframes.restore(state)
+        self._learned_at = dict(state["learned_at"])

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,9 +41,6 @@ from bench.registry import register
 from bench.supervision.appearance import Appearance
 from bench.supervision.moving import MovingThings
 from bench.types import Event, Keyframe, Map, MappingReport, Mask, PinholeView, RenderedView, StereoCamera, Trajectory
-
-if TYPE_CHECKING:
-    pass
 
 log = logging.getLogger(__name__)
 
@@ -238,6 +235,7 @@ class GaussianMapper(Mapper):
         """A new keyframe is there; what was left behind near its place is drawn."""
         self._schedule.add(number, self._replay.keyframes.pose)
         live, most = self._schedule.live, self.config.live_keyframes
+        self._replay.forget_ages_but(live)
         if len(live) > most and self._room:
             self._page(live[-most - 1])
         self._map.look_from(self._replay.place(number))
@@ -338,7 +336,7 @@ class GaussianMapper(Mapper):
             return others[int(self._random.integers(len(others)))]
         older = [n for n in live if n != newest and n not in others]
         if draw >= self.config.newest_share + self.config.window_share and older:
-            return older[int(self._random.integers(len(older)))]
+            return self._replay.older(older, self._optimizer.steps, self._random)
         return newest
 
     def _render(self, view: PinholeView, differentiable: bool = False) -> Rendered:
@@ -366,6 +364,7 @@ class GaussianMapper(Mapper):
         by_images, live = (by_color, by_depth, by_alpha), self._map.live
         if map_learns:
             twist = self._optimizer.learn(live, self._rasterizer, rendered, by_images, pose=refine)
+            self._replay.learned(number, self._optimizer.steps)
         else:
             twist = self._rasterizer.backward(rendered, *by_images, pose=True, learning=0).twist
         if refine:

@@ -85,6 +85,16 @@ def test_the_whole_sequence_is_learned_and_not_only_the_newest_frame() -> None:
     assert min(psnr_by_hand(mapped(iterations=30), keyframe) for keyframe in street()[1]) > 25.0
 
 
+@pytest.mark.parametrize(("older_views", "shares"), [("by_age", (1 / 8, 2 / 8, 5 / 8)), ("uniform", (1 / 3,) * 3)])
+def test_what_was_not_learned_from_for_long_is_drawn_more_often(older_views: str, shares: tuple[float, ...]) -> None:
+    replay, random = started(older_views=older_views)._replay, np.random.default_rng(0)
+    for number, step in ((0, 10), (1, 9), (2, 6)):
+        replay.learned(number, step)
+    replay.forget_ages_but([0, 1, 2])
+    drawn = np.bincount([replay.older([0, 1, 2], 10, random) for _ in range(4000)]) / 4000
+    np.testing.assert_allclose(drawn, shares, atol=0.03)
+
+
 def test_report_of_a_keyframe() -> None:
     mapper = started(iterations=3)
     keyframe = street()[1][0]
