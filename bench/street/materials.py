@@ -14,7 +14,7 @@ _STOREY_M = np.float32(3.1)
 _PLINTH_M = 0.5
 _LANE_LINE_M = 3.15
 
-_ASPHALT = np.array([0.34, 0.34, 0.35], dtype=np.float32)
+ASPHALT = np.array([0.34, 0.34, 0.35], dtype=np.float32)
 _PARKING = np.array([0.42, 0.40, 0.38], dtype=np.float32)
 _LINE = np.array([0.86, 0.86, 0.82], dtype=np.float32)
 _KERB = np.array([0.62, 0.61, 0.58], dtype=np.float32)
@@ -209,7 +209,7 @@ def ground(s: Map, d: Map, footprint_s: Map, footprint_d: Map) -> Map:
     k = np.float32(1.0 / 6.7)
     coarse = sample_noise(s * k, d * k, fs * k, fd * k)
     side = np.abs(d)
-    color = np.broadcast_to(_ASPHALT, (len(s), 3))
+    color = np.broadcast_to(ASPHALT, (len(s), 3))
     color = _mix(color, _PARKING, band(side, _LANE_LINE_M, 100.0, fd))
     edge_line = band(side, _LANE_LINE_M - 0.06, _LANE_LINE_M + 0.06, fd)
     dashes = band(d, -0.06, 0.06, fd) * stripes(s, 6.0, 1.5, fs)

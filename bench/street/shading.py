@@ -37,11 +37,17 @@ _ON_POLYGONS = {
 
 @dataclass(frozen=True)
 class Scene:
-    """What the light falls on: the surfaces, the path for the ground's markings, the camera's place on it (metres)."""
+    """What the light falls on: the surfaces, the path for the ground's markings, the camera's place on it (metres); and
+    the share of the contrast within each surface that is left."""
 
     surfaces: Surfaces
     path: CenterLine
     s: float
+    texture: float = 1.0
+
+    def colored(self, color: Map, plain: Map) -> Map:
+        """Colours (N, 3) with as much of their difference to the ``plain`` ones as is left."""
+        return color if self.texture == 1 else plain + np.float32(self.texture) * (color - plain)
 
 
 @dataclass(frozen=True)
@@ -160,7 +166,7 @@ def _shade_polygons(scene: Scene, T_world_cam: Float, kind: Material, samples: S
         offset=surfaces.offset[samples.surface],
         variant=surfaces.variant[samples.surface],
     )
-    return _ON_POLYGONS[kind](patch) * _light(axes[:, 2])[which][:, None]
+    return scene.colored(_ON_POLYGONS[kind](patch), patch.albedo) * _light(axes[:, 2])[which][:, None]
 
 
 def _shade_ground(scene: Scene, T_world_cam: Float, samples: Samples) -> Map:
@@ -172,7 +178,7 @@ def _shade_ground(scene: Scene, T_world_cam: Float, samples: Samples) -> Map:
     sin, cos = np.sin(heading), np.cos(heading)
     footprint_s = np.abs(sin * x_right + cos * z_right) + np.abs(sin * x_below + cos * z_below) + _LEAST_FOOTPRINT_M
     footprint_d = np.abs(cos * x_right - sin * z_right) + np.abs(cos * x_below - sin * z_below) + _LEAST_FOOTPRINT_M
-    color = materials.ground(s, d, footprint_s, footprint_d)
+    color = scene.colored(materials.ground(s, d, footprint_s, footprint_d), materials.ASPHALT)
     color[scene.surfaces.material[samples.surface] == Material.SHADOW] *= _SHADOW
     return color
 
@@ -205,7 +211,7 @@ def _shade_round(scene: Scene, T_world_cam: Float, kind: Material, samples: Samp
         variant=surfaces.variant[samples.surface],
     )
     color = materials.leaves(patch) if kind == Material.LEAVES else materials.bark(patch)
-    return color * _light(normal)[:, None]
+    return scene.colored(color, patch.albedo) * _light(normal)[:, None]
 
 
 def _shade_sky(T_world_cam: Float, samples: Samples) -> Map:

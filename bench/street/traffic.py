@@ -13,7 +13,7 @@ from bench.street.surfaces import SurfaceList
 _CARS = ((1.75, 9.0, 1.3), (-1.75, 38.0, -1.0))
 
 
-def traffic_surfaces(path: CenterLine, position: int, seed: int) -> SurfaceList:
+def traffic_surfaces(path: CenterLine, position: float, seed: int) -> SurfaceList:
     """The cars where they are at frame ``position`` of a camera that began at the beginning of the path."""
     out = SurfaceList()
     for car, (lane, ahead, speed) in enumerate(_CARS):

@@ -22,7 +22,7 @@ _ALONGSIDE_M = 0.06
 _REAR_M = -0.5
 
 
-def rear_ahead_m(position: int, covered: tuple[int, int]) -> float:
+def rear_ahead_m(position: float, covered: tuple[int, int]) -> float:
     """Metres that the lorry's rear end is ahead of the camera at frame ``position``; ``covered`` are the first and the
     last frame in which it stays alongside."""
     first, last = covered

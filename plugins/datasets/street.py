@@ -17,7 +17,7 @@ from bench.street.shading import Scene, render
 from bench.street.surfaces import SurfaceList, Surfaces
 from bench.street.traffic import traffic_surfaces
 from bench.street.truck import rear_ahead_m, truck_surfaces
-from bench.types import Float, Map, Mask, StereoCamera, StereoFrame, Trajectory
+from bench.types import Float, Image, Map, Mask, StereoCamera, StereoFrame, Trajectory
 
 BASELINE_M = 0.54
 CAMERA_HEIGHT_M = 1.65
@@ -32,6 +32,8 @@ _WANDER_WAVE_M = 97.0
 _TRUCK_SEEN_M = 200.0
 _JUMPS_PER_FRAME = 0.3
 _PAN_DEG = 15.0
+_INSTANTS = 8
+"""That an open shutter's image is the mean of."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,16 @@ class StreetConfig(PluginConfig):
     exposure_jumps: float = 0.0
     """An automatic exposure, the same in both cameras: every few frames the brightness is another one, times a factor
     of up to 1 plus or minus this share and plus or minus a tenth of it of the full range."""
+    texture: float = 1.0
+    """Share of the contrast within each surface that is left; 0: one plain colour each, and only outlines, shade and
+    clouds show."""
+    light: float = 1.0
+    """Share of the daylight that is left for the same exposure; 0.05 is dusk."""
+    noise: float = 0.0
+    """Standard deviation, in grey levels, of the noise that every pixel of every image has of its own."""
+    shutter: float = 0.0
+    """Share of the time between two frames in which the shutter is open, so that motion blurs; the pose is that of the
+    middle. 0 is an instant."""
 
     def __post_init__(self) -> None:
         if self.frames < 1:
@@ -81,6 +93,8 @@ class StreetConfig(PluginConfig):
                 f"dataset.truck_frames={list(self.truck_frames)} must be [first, last] with 0 <= first <= last."
             )
         require_between("dataset", self, 0, 0.9, "exposure_jumps")
+        require_between("dataset", self, 0, 1, "texture", "light", "shutter")
+        require_between("dataset", self, 0, 50, "noise")
         self._check_circuit()
 
     def _check_circuit(self) -> None:
@@ -112,6 +126,10 @@ class Street(Dataset):
             "traffic": config.traffic,
             "exposure": config.exposure_jumps > 0,
             "pan": config.pan_deg > 0,
+            "plain": config.texture < 1,
+            "dark": config.light < 1,
+            "noise": config.noise > 0,
+            "blur": config.shutter > 0,
         }
         self.label = "-".join([f"street/{config.seed}", *(name for name, used in options.items() if used)])
         self.numbers = tuple(range(config.frames))
@@ -134,13 +152,27 @@ class Street(Dataset):
 
     def frame(self, position: int) -> StereoFrame:
         """Render one pair."""
-        T = self._pose(position)
-        scene = Scene(self._surfaces(position), self._street.path, self._arc_length(position))
-        left, right = (render(self.camera, pose, scene) for pose in (T, T @ self.camera.T_left_right))
-        if self._config.exposure_jumps:
+        config = self._config
+        left, right = self._exposed(position) if config.shutter else self._pair(position)
+        if config.exposure_jumps or config.light < 1 or config.noise or config.shutter:
             gain, bias = self._exposure(position)
-            left, right = (np.clip(np.round(gain * image + bias), 0, 255).astype(np.uint8) for image in (left, right))
+            seen = config.light * gain * np.stack([left, right]) + bias
+            if config.noise:
+                seen += config.noise * np.random.default_rng((config.seed, position)).standard_normal(seen.shape)
+            left, right = np.clip(np.round(seen), 0, 255).astype(np.uint8)
         return StereoFrame(self.numbers[position], position / _RATE_HZ, left, right)
+
+    def _pair(self, position: float) -> tuple[Image, Image]:
+        """Left and right image at an instant, ``position`` counted in frames."""
+        T = self._pose(position)
+        surfaces, s = self._surfaces(position), self._arc_length(position)
+        scene = Scene(surfaces, self._street.path, s, self._config.texture)
+        return render(self.camera, T, scene), render(self.camera, T @ self.camera.T_left_right, scene)
+
+    def _exposed(self, position: int) -> Float:
+        """Both images (2, H, W, 3) as means over the time that the shutter is open."""
+        instants = position + self._config.shutter * ((np.arange(_INSTANTS) + 0.5) / _INSTANTS - 0.5)
+        return np.mean([self._pair(instant) for instant in instants.tolist()], axis=0)
 
     def ground_truth(self) -> Trajectory:
         """Exact poses; the first is the identity."""
@@ -169,16 +201,18 @@ class Street(Dataset):
 
     def _exposure(self, position: int) -> tuple[float, float]:
         """Factor and offset, in grey levels, since the last jump; the drive begins without."""
+        if not self._config.exposure_jumps:
+            return 1.0, 0.0
         jumps, factors, offsets = np.random.default_rng(self._config.seed).uniform(-1, 1, (position + 1, 3)).T
         jumps[0] = -1
         last = np.flatnonzero(jumps < 2 * _JUMPS_PER_FRAME - 1)[-1]
         share = self._config.exposure_jumps if last else 0.0
         return 1 + share * factors[last], 25.5 * share * offsets[last]
 
-    def _arc_length(self, position: int) -> float:
+    def _arc_length(self, position: float) -> float:
         return position * self._config.speed_m
 
-    def _surfaces(self, position: int) -> Surfaces:
+    def _surfaces(self, position: float) -> Surfaces:
         """What a camera at this frame may see, the lorry and the traffic included."""
         s, seed, path = self._arc_length(position), self._config.seed, self._street.path
         moving = traffic_surfaces(path, position, seed) if self._config.traffic else SurfaceList()
@@ -187,7 +221,7 @@ class Street(Dataset):
             moving.extend(truck_surfaces(path, s + ahead, seed))
         return self._street.seen_from(s, moving)
 
-    def _pose(self, position: int) -> Float:
+    def _pose(self, position: float) -> Float:
         """T_street_cam: in its lane, along the street, with a little pitch, roll and heave as of a car."""
         s = self._arc_length(position)
         wander, drift = self._wander(s)
@@ -200,7 +234,7 @@ class Street(Dataset):
         T[:3, 3] = (x, -CAMERA_HEIGHT_M + heave, z)
         return T
 
-    def _pan(self, position: int) -> float:
+    def _pan(self, position: float) -> float:
         """How far the camera is turned to the right of where the car drives, in radians; 0 in the first frame."""
         turned = (self._config.pan_deg * position + _PAN_DEG) % (4 * _PAN_DEG)
         return float(np.deg2rad(_PAN_DEG - abs(turned - 2 * _PAN_DEG)))

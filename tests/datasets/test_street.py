@@ -252,6 +252,7 @@ def test_lorry_never_runs_over_the_camera(seed: int) -> None:
         ({"height": 9000}, "dataset.height=9000"),
         ({"speed_m": -1.0}, "dataset.speed_m=-1.0"),
         ({"seed": -3}, "dataset.seed=-3"),
+        ({"light": 1.5}, "dataset.light=1.5"),
     ],
 )
 def test_settings_out_of_range(settings: dict[str, Any], message: str) -> None:
@@ -280,6 +281,35 @@ def test_exposure_jumps_in_both_cameras_alike_and_stays_for_some_frames() -> Non
     assert 3 <= len(set(found)) <= 8
     longer = Street(StreetConfig(frames=30, exposure_jumps=0.3, **size))
     np.testing.assert_array_equal(longer.frame(11).left, jumping.frame(11).left)
+
+
+def test_dark_and_noisy_and_blurred() -> None:
+    """Dark: a share of each level. Noise: of its own everywhere. Blurred: the mean of instants, which a drive of a 32nd
+    of the speed passes by in whole frames."""
+    size: dict[str, Any] = {"frames": 6, "width": 96, "height": 32}
+    clean = Street(StreetConfig(**size)).frame(4)
+    street = Street(StreetConfig(**size, light=0.25, noise=2.0))
+    assert street.label == "street/0-dark-noise"
+    noisy, longer = street.frame(4), Street(StreetConfig(**(size | {"frames": 9}), light=0.25, noise=2.0)).frame(4)
+    np.testing.assert_array_equal(noisy.right, longer.right)
+    off = [seen.astype(float) - 0.25 * was for seen, was in ((noisy.left, clean.left), (noisy.right, clean.right))]
+    assert np.std(off) == pytest.approx(2.0, rel=0.03)
+    assert abs(np.corrcoef(off[0].ravel(), off[1].ravel())[0, 1]) < 0.05
+    slow = Street(StreetConfig(**(size | {"frames": 140}), speed_m=1 / 32))
+    mean = np.mean([slow.frame(position).left for position in range(121, 136, 2)], axis=0)
+    np.testing.assert_array_equal(Street(StreetConfig(**size, shutter=0.5)).frame(4).left, np.round(mean))
+
+
+def test_plain_surfaces_have_one_colour_each() -> None:
+    """Of the road and a parked car, all but their shade and the mixtures at outlines."""
+    size: dict[str, Any] = {"frames": 6, "width": 240, "height": 72}
+    usual, plain, half = (Street(StreetConfig(**size, texture=share)) for share in (1.0, 0.0, 0.5))
+    np.testing.assert_array_equal(usual.true_depth(2), plain.true_depth(2))
+    textured, even, between = (street.frame(2).left for street in (usual, plain, half))
+    road = np.s_[60:, 80:160]
+    assert len(np.unique(textured[road].reshape(-1, 3), axis=0)) > 100
+    assert len(np.unique(even[road].reshape(-1, 3), axis=0)) < 12
+    assert np.abs(between.astype(float) - (textured.astype(float) + even) / 2)[road].max() <= 1
 
 
 @pytest.mark.parametrize(("position", "nearest", "furthest"), [(0, 6.5, 7.1), (10, 8.0, 10.0)])
