@@ -20,7 +20,7 @@ install: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(wildcard bench/native/*)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
-	-$(BIN)/bgs-bench weights get alexnet psmnet_kitti2015
+	-$(BIN)/bgs-bench weights get alexnet psmnet_kitti2015 xfeat
 	touch $(STAMP)
 
 # What the tests need beside.

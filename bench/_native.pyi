@@ -154,7 +154,7 @@ def pair_rows(
     band: Any,
     nearest_left: float,
     beyond: float,
-    max_hamming: int,
+    max_distance: int,
 ) -> tuple[Any, Any]: ...
 def refine_disparity(left: list[Any], right: list[Any], octave: Any, at_left: Any, x_right: Any) -> tuple[Any, Any]: ...
 def match_boxes(
@@ -167,7 +167,7 @@ def match_boxes(
     keypoint_octave: Any,
     keypoint_disparity: Any,
     keypoint_descriptors: Any,
-    max_hamming: int,
+    max_distance: int,
     ratio: float,
     octave_tolerance: float,
 ) -> tuple[Any, Any]: ...

@@ -57,6 +57,10 @@ class CachedTracker(Tracker):
         self._store = store
         self.last_cost = Cost(0.0, cached=False)
 
+    def weights(self) -> dict[str, Path]:
+        """The tracker's."""
+        return self._tracker.weights()
+
     def start(self, dataset: Dataset) -> None:
         """Look for a recording; without one, start the tracker."""
         self._dataset = dataset
@@ -192,6 +196,7 @@ def _key(tracker: Tracker, config: PluginConfig, dataset: Mapping[str, Any]) -> 
     }
     parts = {
         "config": dataclasses.asdict(config) | files,
+        "weights": {what: sha256_of(path) for what, path in tracker.weights().items()},
         "dataset": dict(dataset),
         "code": [code_version(type(tracker)), project_version()],
         "machine": what_computes(),

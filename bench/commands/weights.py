@@ -19,7 +19,7 @@ from bench.weights.places import locate
 
 _EXAMPLES = """examples:
   bgs-bench weights list --verify
-  bgs-bench weights get alexnet psmnet_kitti2015
+  bgs-bench weights get alexnet psmnet_kitti2015 xfeat
   bgs-bench weights path anynet_kitti2015       # where to put a file that only you can fetch
 """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import Any
 
 from bench.contracts.dataset import Dataset
@@ -29,6 +30,11 @@ class Tracker(ABC):
         """How far the camera may move in a frame, in metres, for this tracker to follow; infinite (the default): no
         setting bounds it. `check-plugin` drives its own street that slowly."""
         return math.inf
+
+    def weights(self) -> dict[str, Path]:
+        """Files of network weights in use, by what they are for: they are part of a run's provenance and of the cache's
+        key."""
+        return {}
 
     @abstractmethod
     def start(self, dataset: Dataset) -> None:

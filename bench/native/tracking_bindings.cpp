@@ -20,7 +20,7 @@ template <typename T, int N> using In = nb::ndarray<const T, nb::ndim<N>, nb::c_
 using Doubles = In<double, 1>;
 using Rows = In<double, 2>;
 using Ints = In<int64_t, 1>;
-using Bits = In<uint64_t, 2>;
+using Described = nb::ndarray<nb::ro, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Grey = In<uint8_t, 2>;
 using Levels = std::vector<Grey>;
 
@@ -42,10 +42,16 @@ size_t rows(const Rows& a, size_t columns, const char* what) {
 
 bgs::GreyImage image_of(const Grey& a) { return {a.data(), static_cast<int>(a.shape(1)), static_cast<int>(a.shape(0)), static_cast<ptrdiff_t>(a.shape(1))}; }
 
-bgs::Keypoints keypoints_of(const Rows& xy, const Ints& octave, const Bits& descriptors) {
+bgs::DescriptorKind kind_of(const Described& descriptors) {
+    const bool bits = descriptors.dtype() == nb::dtype<uint64_t>() && descriptors.shape(1) == 4;
+    require(bits || (descriptors.dtype() == nb::dtype<int8_t>() && descriptors.shape(1) == 64), "descriptors must be (N, 4) uint64 or (N, 64) int8");
+    return bits ? bgs::DescriptorKind::BITS : bgs::DescriptorKind::BYTES;
+}
+
+bgs::Keypoints keypoints_of(const Rows& xy, const Ints& octave, const Described& descriptors) {
     const size_t n = rows(xy, 2, "positions must have shape (N, 2)");
-    require(octave.shape(0) == n && descriptors.shape(0) == n && descriptors.shape(1) == 4, "octaves (N,) and descriptors (N, 4) must match the positions");
-    return {xy.data(), octave.data(), descriptors.data(), static_cast<int>(n)};
+    require(octave.shape(0) == n && descriptors.shape(0) == n, "octaves (N,) and descriptors (N, 4) or (N, 64) must match the positions");
+    return {xy.data(), octave.data(), descriptors.data(), kind_of(descriptors), static_cast<int>(n)};
 }
 
 bgs::Pinhole camera_of(const std::vector<double>& c) {
@@ -97,14 +103,16 @@ nb::tuple bucketed(const In<int64_t, 2>& corners, int wanted, int bucket) {
     return nb::tuple(kept);
 }
 
-nb::tuple pair_rows(const Rows& left_xy, const Ints& left_octave, const Bits& left_bits, const Rows& right_xy, const Ints& right_octave, const Bits& right_bits,
-                    const Doubles& band, double nearest_left, double beyond, int max_hamming) {
+nb::tuple pair_rows(const Rows& left_xy, const Ints& left_octave, const Described& left, const Rows& right_xy, const Ints& right_octave, const Described& right,
+                    const Doubles& band, double nearest_left, double beyond, int max_distance) {
     bgs::StereoPairArgs args{};
-    args.left = keypoints_of(left_xy, left_octave, left_bits), args.right = keypoints_of(right_xy, right_octave, right_bits);
+    args.left = keypoints_of(left_xy, left_octave, left), args.right = keypoints_of(right_xy, right_octave, right);
+    require(max_distance >= 0 && max_distance <= 1000, "max_distance must be in 0 .. 1000");
+    require(args.left.kind == args.right.kind, "both images must have descriptors of one kind");
     require(band.shape(0) == left_xy.shape(0), "band must have shape (N,)");
-    args.band = band.data(), args.nearest_left = nearest_left, args.beyond = beyond, args.max_hamming = max_hamming;
+    args.band = band.data(), args.nearest_left = nearest_left, args.beyond = beyond, args.max_distance = max_distance;
     const size_t n = left_xy.shape(0);
-    std::vector<int32_t> right(n), distance(n);
+    std::vector<int32_t> best(n), distance(n);
     {
         nb::gil_scoped_release release;
         std::vector<int32_t> row(right_xy.shape(0));
@@ -115,10 +123,10 @@ nb::tuple pair_rows(const Rows& left_xy, const Ints& left_octave, const Bits& le
         for (size_t j = 0; j < row.size(); ++j) row[j] = static_cast<int32_t>(std::max(0.0, args.right.xy[2 * j + 1]));  // NaN becomes 0
         const bgs::CellIndex index(row, args.rows);
         args.row_start = index.start.data(), args.by_row = index.order.data();
-        args.best_right = right.data(), args.best_distance = distance.data();
+        args.best_right = best.data(), args.best_distance = distance.data();
         bgs::tracking().pair_rows(args);
     }
-    return nb::make_tuple(array(std::move(right), {n}), array(std::move(distance), {n}));
+    return nb::make_tuple(array(std::move(best), {n}), array(std::move(distance), {n}));
 }
 
 // Disparity in octave pixels and RMS difference; NaN where there is no minimum inside the search.
@@ -150,18 +158,20 @@ nb::tuple refine_disparity(const Levels& left, const Levels& right, const Ints& 
     return nb::make_tuple(array(std::move(disparity), {n}), array(std::move(rms), {n}));
 }
 
-nb::tuple match_boxes(const Rows& uv, const Doubles& radius, const Doubles& octave, const Doubles& disparity, const Bits& bits, const Rows& keypoint_xy,
-                      const Ints& keypoint_octave, const Doubles& keypoint_disparity, const Bits& keypoint_bits, int max_hamming, double ratio,
-                      double octave_tolerance) {
+nb::tuple match_boxes(const Rows& uv, const Doubles& radius, const Doubles& octave, const Doubles& disparity, const Described& described,
+                      const Rows& keypoint_xy, const Ints& keypoint_octave, const Doubles& keypoint_disparity, const Described& keypoint_described,
+                      int max_distance, double ratio, double octave_tolerance) {
     const size_t n = rows(uv, 2, "uv must have shape (Q, 2)");
-    require(radius.shape(0) == n && octave.shape(0) == n && disparity.shape(0) == n && bits.shape(0) == n && bits.shape(1) == 4,
-            "radius, octave, disparity (Q,) and descriptors (Q, 4) must match uv");
+    require(radius.shape(0) == n && octave.shape(0) == n && disparity.shape(0) == n && described.shape(0) == n,
+            "radius, octave, disparity (Q,) and descriptors (Q, 4) or (Q, 64) must match uv");
     bgs::BoxMatchArgs args{};
     args.uv = uv.data(), args.radius = radius.data(), args.octave = octave.data(), args.disparity = disparity.data();
-    args.descriptor = bits.data(), args.queries = static_cast<int>(n);
-    args.keypoints = keypoints_of(keypoint_xy, keypoint_octave, keypoint_bits), args.keypoint_disparity = keypoint_disparity.data();
+    args.descriptor = described.data(), args.queries = static_cast<int>(n);
+    args.keypoints = keypoints_of(keypoint_xy, keypoint_octave, keypoint_described), args.keypoint_disparity = keypoint_disparity.data();
     require(keypoint_disparity.shape(0) == keypoint_xy.shape(0), "the keypoints' disparities must have shape (N,)");
-    args.max_hamming = max_hamming, args.ratio = ratio, args.octave_tolerance = octave_tolerance, args.cell = 16.0;
+    require(max_distance >= 0 && max_distance <= 1000, "max_distance must be in 0 .. 1000");
+    require(kind_of(described) == args.keypoints.kind, "queries and keypoints must have descriptors of one kind");
+    args.max_distance = max_distance, args.ratio = ratio, args.octave_tolerance = octave_tolerance, args.cell = 16.0;
     std::vector<int32_t> keypoint(n), distance(n);
     {
         nb::gil_scoped_release release;
@@ -256,10 +266,10 @@ void bind_tracking(nb::module_& m) {
         .def("extract", &extract, "image"_a.noconvert());
     m.def("bucketed", &bucketed, "corners"_a, "wanted"_a, "bucket"_a);
     m.def("pair_rows", &pair_rows, "left_xy"_a, "left_octave"_a, "left_descriptors"_a, "right_xy"_a, "right_octave"_a, "right_descriptors"_a, "band"_a,
-          "nearest_left"_a, "beyond"_a, "max_hamming"_a);
+          "nearest_left"_a, "beyond"_a, "max_distance"_a);
     m.def("refine_disparity", &refine_disparity, "left"_a, "right"_a, "octave"_a, "at_left"_a, "x_right"_a);
     m.def("match_boxes", &match_boxes, "uv"_a, "radius"_a, "octave"_a, "disparity"_a, "descriptors"_a, "keypoint_xy"_a, "keypoint_octave"_a,
-          "keypoint_disparity"_a, "keypoint_descriptors"_a, "max_hamming"_a, "ratio"_a, "octave_tolerance"_a);
+          "keypoint_disparity"_a, "keypoint_descriptors"_a, "max_distance"_a, "ratio"_a, "octave_tolerance"_a);
     m.def("optimise_pose", &optimise_pose, "camera"_a, "points"_a, "measured"_a, "T_cam_world"_a, "rounds"_a, "iterations"_a, "gate_first"_a);
     m.def("bundle_adjust", &bundle, "camera"_a, "T_cam_world"_a, "fixed"_a, "points"_a, "keyframe"_a, "point"_a, "measured"_a, "iterations"_a);
 }

@@ -25,37 +25,41 @@ struct Corner {
     uint32_t score;
 };
 
-// Keypoints as the kernels see them: position in pixels of the full image, octave, 256 bits.
+// Descriptors: (N, 4) uint64, apart by the number of differing bits, or (N, 64) int8, apart by the length of the difference.
+enum class DescriptorKind { BITS, BYTES };
+
+// Keypoints as the kernels see them: position in pixels of the full image, octave, descriptor.
 struct Keypoints {
-    const double* xy;            // (N, 2)
-    const int64_t* octave;       // (N,)
-    const uint64_t* descriptor;  // (N, 4)
+    const double* xy;        // (N, 2)
+    const int64_t* octave;   // (N,)
+    const void* descriptor;  // (N, words of the kind)
+    DescriptorKind kind;
     int count;
 };
 
 struct StereoPairArgs {
-    Keypoints left, right;
+    Keypoints left, right;        // descriptors of one kind
     const double* band;           // (left.count,): rows by which a match may be off
     double nearest_left, beyond;  // a match lies in [x - nearest_left, x + beyond]
-    int max_hamming;
+    int max_distance;
     const int32_t *row_start, *by_row;  // right keypoints in order of floor(y): those of row r are by_row[row_start[r] ...]
     int rows;
-    int32_t* best_right;  // (left.count,): out, -1 = none
-    int32_t* best_distance;
+    int32_t* best_right;     // (left.count,): out, -1 = none
+    int32_t* best_distance;  // out; squared between bytes
 };
 
 struct BoxMatchArgs {
     const double *uv, *radius, *octave, *disparity;  // queries: (Q, 2), (Q,), (Q,), (Q,); disparity may be NaN
-    const uint64_t* descriptor;                      // (Q, 4)
+    const void* descriptor;                          // (Q, words), of the keypoints' kind
     int queries;
     Keypoints keypoints;
     const double* keypoint_disparity;     // (N,) pixels or NaN
     const int32_t *cell_start, *by_cell;  // keypoints by cell of the grid, row by row
     int cells_x, cells_y;
     double cell;  // side of a cell in pixels
-    int max_hamming;
+    int max_distance;
     double ratio, octave_tolerance;
-    int32_t *best_keypoint, *best_distance;  // (Q,): out, -1 = none
+    int32_t *best_keypoint, *best_distance;  // (Q,): out, -1 = none; squared between bytes
 };
 
 struct Pinhole {

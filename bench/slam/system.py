@@ -80,8 +80,10 @@ class System:
         return self.tracker.uses_map or self.keyframer.uses_map
 
     def weights(self) -> dict[str, Path]:
-        """The files of network weights in use, as ``"stereo.<what>"``, ``"sky.<what>"`` and ``"mapper.<what>"``."""
-        parts: dict[str, DepthSource | SkySegmenter | Mapper] = {
+        """The files of network weights in use, as ``"tracker.<what>"``, ``"stereo.<what>"``, ``"sky.<what>"`` and
+        ``"mapper.<what>"``."""
+        parts: dict[str, Tracker | DepthSource | SkySegmenter | Mapper] = {
+            "tracker": self.tracker,
             "stereo": self.stereo,
             "sky": self.sky,
             "mapper": self.mapper,

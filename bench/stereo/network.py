@@ -18,7 +18,7 @@ from bench.stereo.left_right import left_right_checked
 from bench.stereo.resizing import at_scale
 from bench.stereo.tiling import tiled
 from bench.types import Image, Map, check_confidence
-from bench.weights import resolve
+from bench.weights import chosen
 
 log = logging.getLogger(__name__)
 
@@ -67,7 +67,7 @@ class StereoNetwork(StereoBackbone):
         network without weights. Raises ``BenchError`` for weights that are not there."""
         self._settings = config
         self._unit_is_told = False
-        self.weights_path = _weights_path(config.weights, published)
+        self.weights_path = chosen("stereo.weights", config.weights, published) if config.weights or published else None
 
     def weights(self) -> dict[str, Path]:
         """The network's file of weights, if it has one."""
@@ -153,12 +153,3 @@ class StereoNetwork(StereoBackbone):
         if matched.confidence is not None:
             check_confidence(matched.confidence, left.shape[:2], what)
         return matched
-
-
-def _weights_path(setting: str, published: str) -> Path | None:
-    if setting:
-        path = Path(setting).expanduser()
-        if not path.is_file():
-            raise BenchError(f"stereo.weights={setting} is no file. Correct the path, or leave the setting out.")
-        return path
-    return resolve(published) if published else None

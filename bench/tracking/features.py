@@ -1,25 +1,25 @@
-"""ORB features, spread evenly over image and octaves."""
+"""Features of an image, and ORB's, spread evenly over image and octaves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from bench import _native
+from bench.tracking.descriptors import Descriptors, Ints
 from bench.tracking.orb_tests import comparisons
 from bench.types import Float
 
 Grey = npt.NDArray[np.uint8]
-Ints = npt.NDArray[np.int64]
-Descriptors = npt.NDArray[np.uint64]
 
 
 @dataclass(frozen=True)
 class Features:
     """N keypoints of one image: ``xy`` (N, 2) float64 in pixels of the full image (pixel centres at integers),
-    ``octave`` (N,), ``descriptors`` (N, 4) uint64, 256 bits each."""
+    ``octave`` (N,), ``descriptors`` (N, 4) uint64 or (N, 64) int8."""
 
     xy: Float
     octave: Ints
@@ -41,6 +41,19 @@ class Pyramid:
         return (xy + 0.5) / self.ratio[octave] - 0.5
 
 
+class Extractor(Protocol):
+    """Finds and describes keypoints, in ``octaves`` images of which each is ``scale_factor`` times as small as the one
+    before, to ``sigma_px`` pixels of their octave. All its descriptors are of one kind. Threads may share it."""
+
+    octaves: int
+    scale_factor: float
+    sigma_px: float
+
+    def extract(self, image: Grey) -> tuple[Features, Pyramid]:
+        """Features and pyramid of a grey image (H, W) uint8; no features at all from an image without texture."""
+        ...
+
+
 class OrbExtractor:
     """FAST-scored ORB, spread over the image: about ``count`` keypoints, chosen by buckets in each octave.
 
@@ -49,6 +62,8 @@ class OrbExtractor:
     strongest, and so on. Without the buckets the keypoints crowd on a few textured places and drift grows by a quarter.
     Threads may share an extractor.
     """
+
+    sigma_px = 1.0
 
     def __init__(self, count: int, octaves: int = 8, scale_factor: float = 1.2, fast_threshold: int = 10) -> None:
         self.octaves = octaves

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench import _native
 from bench.geometry import se3
-from bench.tracking.features import Ints
+from bench.tracking.descriptors import Ints
 from bench.tracking.pose_optimization import Observations, camera_numbers
 from bench.types import Float, Mask, StereoCamera
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from bench.geometry import se3
 from bench.io.torch_files import from_state, to_state
-from bench.tracking.features import Descriptors, Features, Ints
+from bench.tracking.descriptors import Descriptors, Ints, as_they_were
+from bench.tracking.features import Features
 from bench.tracking.growing import Growing
 from bench.tracking.local_ba import Problem, Solution
 from bench.tracking.pose_optimization import Observations
@@ -23,7 +24,7 @@ _MIN_FOUND_RATIO = 0.25
 
 @dataclass(frozen=True)
 class View:
-    """What one frame saw: its features, their disparities (N,) in pixels or NaN, and weights (N,) 1 / scale^2.
+    """What one frame saw: its features, their disparities (N,) in pixels or NaN, and weights (N,) 1 / sigma^2.
 
     Disparities below ``least_disparity`` place new points but are no measurements: a bias of 0.05 pixels, which no
     stereo calibration is free of, is a percent of the depth there and would stretch the whole trajectory.
@@ -57,7 +58,7 @@ class KeyframeRecord:
 
 @dataclass
 class Points:
-    """P map points: ``ids`` (P,) ascending, ``position`` (P, 3) metres in the world, newest ``descriptor`` (P, 4),
+    """P map points: ``ids`` (P,) ascending, ``position`` (P, 3) metres in the world, newest ``descriptor`` (P, W),
     ``reach`` (P,) metres (the distance at which the point would appear in octave 0), keyframe index of birth ``born``
     and of the last sighting ``seen`` (P,), and counts of frames where it was matched (``visible``) and where the match
     was an inlier (``found``)."""
@@ -131,6 +132,8 @@ class LocalMap:
         index = len(self._poses)
         self._poses.append(se3.inverse(T_cam_world))
         point_ids = point_ids.copy()
+        if not len(self.points.ids):
+            self.points.descriptor = view.features.descriptors[:0]  # the first view says of which kind they are
         rows = self.rows(point_ids)
         known = np.flatnonzero(rows >= 0)
         self.points.descriptor[rows[known]] = view.features.descriptors[known]
@@ -250,7 +253,7 @@ class LocalMap:
         self._next_id = state["next_id"]
         self._poses, self._moved_from = Growing(state["poses"].numpy()), 0
         self.keyframes = [_record_of(record) for record in state["keyframes"]]
-        self.points = Points(**_unsigned(from_state(state["points"]), "descriptor"))
+        self.points = Points(**_described(from_state(state["points"]), "descriptor"))
 
 
 def _state_of(record: KeyframeRecord) -> dict[str, Any]:
@@ -260,9 +263,9 @@ def _state_of(record: KeyframeRecord) -> dict[str, Any]:
 
 
 def _record_of(state: dict[str, Any]) -> KeyframeRecord:
-    features = Features(**_unsigned(from_state(state["features"]), "descriptors"))
+    features = Features(**_described(from_state(state["features"]), "descriptors"))
     return KeyframeRecord(view=View(features, **from_state(state["view"])), **from_state(state["own"]))
 
 
-def _unsigned(arrays: dict[str, Any], key: str) -> dict[str, Any]:
-    return arrays | {key: arrays[key].view(np.uint64)}
+def _described(arrays: dict[str, Any], key: str) -> dict[str, Any]:
+    return arrays | {key: as_they_were(arrays[key])}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.geometry import se3
-from bench.tracking.features import Ints
+from bench.tracking.descriptors import Ints
 from bench.tracking.local_map import LocalMap, View
 from bench.tracking.matching import match_boxes
 from bench.tracking.pose_optimization import Observations, PoseEstimate, optimise_pose
@@ -25,7 +25,7 @@ _LEAST_PROVEN = 10
 """Matches of proven points that are enough to begin with."""
 _PROVEN_WORTH = 5
 """Inliers that a proven point is worth when two poses are compared."""
-_MAX_HAMMING = 80
+_MAX_DISTANCE = 80
 _RATIO, _FALLBACK_RATIO = 0.85, 0.9
 _DOUBTFUL_SHARE = 0.8
 """Where fewer of the matches than this are inliers, the prediction may have been wrong: on repeated facades a wrong
@@ -114,7 +114,7 @@ class Localiser:
         disparity = camera.fx * camera.baseline / z[rows]
         descriptors = points.descriptor[rows]
         query, keypoint = match_boxes(
-            uv[rows], reach, octave, disparity, descriptors, view.features, view.disparity, _MAX_HAMMING, _RATIO
+            uv[rows], reach, octave, disparity, descriptors, view.features, view.disparity, _MAX_DISTANCE, _RATIO
         )
         rows = rows[query]
         proven = points.found[rows] >= _PROVEN_FRAMES

@@ -1,11 +1,12 @@
-"""Hamming distances, and one-to-one matches of descriptors in boxes around predicted places."""
+"""One-to-one matches of descriptors in boxes around predicted places."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from bench import _native
-from bench.tracking.features import Descriptors, Features, Ints
+from bench.tracking.descriptors import Descriptors, Ints
+from bench.tracking.features import Features
 from bench.types import Float
 
 _OCTAVE_TOLERANCE = 1.5
@@ -19,15 +20,10 @@ def expand_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
     return owner, start[owner] + offset
 
 
-def hamming(a: Descriptors, b: Descriptors) -> Ints:
-    """Number of differing bits of descriptors (..., 4) uint64, broadcast over the leading axes."""
-    return np.bitwise_count(a ^ b).sum(axis=-1, dtype=np.int64)
-
-
 def one_to_one(wanted: Ints, distance: Ints) -> Ints:
     """Queries (M,), ascending, that get what they want: ``wanted`` (Q,) or -1; of rivals the nearest, then the first.
 
-    ``distance`` (Q,) is the distance of each query to what it wants.
+    ``distance`` (Q,) is the distance of each query to what it wants, or what is ordered as that is.
     """
     query = np.flatnonzero(wanted >= 0)
     order = query[np.lexsort((query, distance[query], wanted[query]))]
@@ -45,12 +41,13 @@ def match_boxes(
     max_distance: int,
     ratio: float,
 ) -> tuple[Ints, Ints]:
-    """(query, keypoint) indices: the nearest keypoint of each query by Hamming distance, one-to-one.
+    """(query, keypoint) indices: the keypoint of each query with the nearest descriptor, one-to-one.
 
     Queries have a place ``uv`` (Q, 2) in pixels, an expected ``octave`` (Q,) and ``disparity`` (Q,), NaN = unknown, and
-    a ``descriptor`` (Q, 4). Candidates are the keypoints of ``features`` within ``radius`` (Q,) pixels in x and y whose
-    octave is within 1.5 and whose disparity, where known, is within the radius too. A query whose best distance is
-    above ``max_distance``, or not below ``ratio`` times its second best (Lowe's test; 1.0 = off), gets nothing.
+    a ``descriptor`` (Q, W) of the keypoints' kind. Candidates are the keypoints of ``features`` within ``radius`` (Q,)
+    pixels in x and y whose octave is within 1.5 and whose disparity, where known, is within the radius too. A query
+    whose best distance is above ``max_distance``, or not below ``ratio`` times its second best (Lowe's test; 1.0 =
+    off), gets nothing.
     """
     keypoint, distance = _native.match_boxes(
         uv,

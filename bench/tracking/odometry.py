@@ -13,7 +13,8 @@ from bench.errors import BenchError
 from bench.geometry import se3
 from bench.io.torch_files import from_state, to_state
 from bench.tracking import local_ba
-from bench.tracking.features import Grey, Ints, OrbExtractor
+from bench.tracking.descriptors import Ints
+from bench.tracking.features import Extractor, Grey
 from bench.tracking.local_map import NO_POINT, KeyframeRecord, LocalMap, View
 from bench.tracking.localisation import Localiser, Matches
 from bench.tracking.stereo_match import match_stereo
@@ -30,10 +31,6 @@ Relocaliser = Callable[[View], tuple[int, Float] | None]
 class OdometrySettings:
     """Numbers of the odometry; ``plugins/trackers/stereo_orb.py`` says what each is for."""
 
-    features: int
-    octaves: int
-    scale_factor: float
-    fast_threshold: int
     max_depth_baselines: float
     stereo_depth_baselines: float
     free_keyframes: int
@@ -71,18 +68,21 @@ class StereoOdometry:
     """
 
     def __init__(
-        self, camera: StereoCamera, settings: OdometrySettings, relocaliser: Relocaliser | None = None
+        self,
+        camera: StereoCamera,
+        settings: OdometrySettings,
+        extractor: Extractor,
+        relocaliser: Relocaliser | None = None,
     ) -> None:
         self._camera = camera
         self._set = settings
+        self._extractor = extractor
         self._relocaliser = relocaliser
         self._new_keyframe: KeyframeRecord | None = None
-        self._extractor = OrbExtractor(
-            settings.features, settings.octaves, settings.scale_factor, settings.fast_threshold
-        )
-        self._threads = ThreadPoolExecutor(2, thread_name_prefix="orb")
-        self._map = LocalMap(camera, settings.free_keyframes, settings.fixed_keyframes, settings.scale_factor)
-        self._localiser = Localiser(camera, self._map, settings.octaves, settings.scale_factor, settings.min_inliers)
+        self._threads = ThreadPoolExecutor(2, thread_name_prefix="features")
+        octaves, scale_factor = extractor.octaves, extractor.scale_factor
+        self._map = LocalMap(camera, settings.free_keyframes, settings.fixed_keyframes, scale_factor)
+        self._localiser = Localiser(camera, self._map, octaves, scale_factor, settings.min_inliers)
         self._T_world_cam = np.eye(4)
         self._velocity = np.zeros(6)
         self._velocity_known = False
@@ -156,7 +156,8 @@ class StereoOdometry:
         features, pyramid = self._extractor.extract(left)
         right_features, right_pyramid = other.result()
         disparity = match_stereo(features, right_features, pyramid, right_pyramid, self._camera)
-        weight = np.asarray(self._set.scale_factor ** (-2.0 * features.octave), dtype=np.float64)
+        scale, sigma = self._extractor.scale_factor, self._extractor.sigma_px
+        weight = np.asarray(scale ** (-2.0 * features.octave) / sigma**2, dtype=np.float64)
         return View(features, disparity, weight, self._camera.fx / self._set.stereo_depth_baselines)
 
     def _begin(self, view: View, predicted: Float) -> FramePose:

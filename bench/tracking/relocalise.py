@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from bench.tracking.features import Descriptors, Ints
+from bench.tracking.descriptors import Descriptors, Ints, metric_of
 from bench.types import Float, StereoCamera
 
-_MAX_HAMMING = 60
+_MAX_DISTANCE = 60
 # Tuned on jumps of 5 m along a street: keypoints of the coarse octaves scatter by pixels, and two thirds of the
 # matches are wrong.
 _REPROJECTION_PX = 5.0
@@ -17,16 +17,14 @@ _MIN_CONSENSUS = 15
 
 
 def match_descriptors(a: Descriptors, b: Descriptors, ratio: float) -> tuple[Ints, Ints]:
-    """Indices (M,), (M,) of descriptors (A, 4) and (B, 4) that are each other's nearest and pass Lowe's test."""
+    """Indices (M,), (M,) of descriptors (A, W) and (B, W) that are each other's nearest and pass Lowe's test."""
     if len(a) < 2 or len(b) < 2:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    left, right = a.view(np.uint8), b.view(np.uint8)
-    distance, nearest = cv2.batchDistance(left, right, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2)
-    _, nearest_back = cv2.batchDistance(right, left, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=1)
-    best, second = np.asarray(distance).T
-    back = np.asarray(nearest_back)[nearest[:, 0], 0]
-    good = (best <= _MAX_HAMMING) & (best < ratio * second) & (back == np.arange(len(a)))
-    return np.flatnonzero(good), nearest[good, 0].astype(np.int64)
+    metric = metric_of(a)
+    (best, second), nearest = (part.T for part in metric.nearest(a, b, 2))
+    back = metric.nearest(b, a, 1)[1][nearest[0], 0]
+    good = (best <= _MAX_DISTANCE) & (best < ratio * second) & (back == np.arange(len(a)))
+    return np.flatnonzero(good), nearest[0, good]
 
 
 def pose_by_pnp(camera: StereoCamera, points: Float, uv: Float) -> Float | None:

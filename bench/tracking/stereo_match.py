@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from bench import _native
-from bench.tracking.features import Features, Ints, Pyramid
+from bench.tracking.descriptors import Ints
+from bench.tracking.features import Features, Pyramid
 from bench.tracking.matching import one_to_one
 from bench.types import Float, StereoCamera
 
-_MAX_HAMMING = 75
+_MAX_DISTANCE = 75
 _NEAREST = 4.0
 """Least depth, in baselines, that is looked for: on a car nothing is nearer, and a short search is a fast one."""
 _ROW_TOLERANCE = 2.0
@@ -59,7 +60,7 @@ def _pair(left: Features, right: Features, pyramid: Pyramid, camera: StereoCamer
         _ROW_TOLERANCE * pyramid.ratio[left.octave, 1],
         camera.fx / _NEAREST,
         _BEYOND,
-        _MAX_HAMMING,
+        _MAX_DISTANCE,
     )
     pair_left = one_to_one(best, distance)
     return pair_left, best[pair_left].astype(np.int64)

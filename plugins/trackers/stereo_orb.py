@@ -1,4 +1,4 @@
-"""Stereo visual odometry on ORB features with a local map: the bench's stand-in for the paper's ORB-SLAM2."""
+"""Stereo visual odometry on ORB or XFeat with a local map: the bench's stand-in for the paper's ORB-SLAM2."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 
 from bench.contracts.dataset import Dataset
 from bench.contracts.tracker import Tracker
-from bench.errors import BenchError, require_between, require_least
+from bench.errors import BenchError, require_between, require_choice, require_least
 from bench.io.array_store import ArrayStore
 from bench.io.images import grey
 from bench.io.torch_files import to_state
 from bench.registry import PluginConfig, register
+from bench.tracking.features import Extractor, OrbExtractor
 from bench.tracking.frame_track import FrameTrack
 from bench.tracking.growing import Archive, Growing
 from bench.tracking.loops import vocabulary
@@ -23,7 +24,10 @@ from bench.tracking.loops.pose_graph import import_gtsam
 from bench.tracking.loops.settings import LoopSettings
 from bench.tracking.odometry import FramePose, OdometrySettings, StereoOdometry
 from bench.types import Event, Float, StereoFrame, TrackingResult, Trajectory
+from bench.weights import chosen
 
+_SETTINGS_OF = {"orb": ("weights", "device"), "xfeat": ("octaves", "scale_factor", "fast_threshold", "vocabulary")}
+"""Settings that mean nothing to each kind of features."""
 _INSTEAD = "a tracker that looks at depth and the map, such as tracker=splatam, or tracker=groundtruth"
 
 
@@ -31,14 +35,20 @@ _INSTEAD = "a tracker that looks at depth and the map, such as tracker=splatam, 
 class StereoOrbConfig(PluginConfig):
     """Settings of the tracker. The defaults are tuned on car-borne stereo at 10 Hz and about 1240 x 370 pixels."""
 
-    features: int = 2000
-    """ORB keypoints per image, after bucketing."""
+    features: str = "orb"
+    """orb, or xfeat: a small network's keypoints and descriptors, for dim, blurred and plain places."""
+    keypoints: int = 2000
+    """Keypoints per image: of ORB, spread over the image; of XFeat, the best."""
     octaves: int = 8
-    """Levels of the image pyramid."""
+    """Levels of ORB's image pyramid; XFeat has one."""
     scale_factor: float = 1.2
-    """Size of an octave of the image pyramid relative to the next."""
+    """Size of an octave of ORB's image pyramid relative to the next."""
     fast_threshold: int = 7
-    """Least FAST contrast, grey values 0-255; lower finds corners in dim places, higher is faster."""
+    """ORB's least FAST contrast, grey values 0-255; lower finds corners in dim places, higher is faster."""
+    weights: str = field(default="", metadata={"path": True})
+    """XFeat's file of weights; empty: the published one, from where `bgs-bench weights path xfeat` finds it."""
+    device: str = "auto"
+    """XFeat's: auto, cpu, cuda, cuda:1, ..."""
     max_depth_baselines: float = 100.0
     """Map points come from stereo up to this depth, in baselines (100 x 0.54 m = 54 m on KITTI)."""
     stereo_depth_baselines: float = 35.0
@@ -64,12 +74,13 @@ class StereoOrbConfig(PluginConfig):
     """Whether places that are seen again correct the trajectory; false is the ablation "no loop closure". A lost camera
     recognises places either way."""
     vocabulary: str = field(default="", metadata={"path": True})
-    """A file of `bgs-bench vocabulary`; empty = train one on the first places of each run."""
+    """A file of `bgs-bench vocabulary`, of ORB's descriptors; empty = train one on the first places of each run."""
     loops: LoopSettings = field(default_factory=LoopSettings)
     """When two places count as the same."""
 
     def __post_init__(self) -> None:
-        require_least("tracker", self, features=100, octaves=1, fast_threshold=1, free_keyframes=1, fixed_keyframes=0)
+        self._check_features()
+        require_least("tracker", self, keypoints=100, octaves=1, fast_threshold=1, free_keyframes=1, fixed_keyframes=0)
         require_least("tracker", self, min_inliers=6, min_new_map_points=6, bridge_frames=0)
         require_least("tracker", self, keyframe_translation_m=0, keyframe_rotation_deg=0)
         require_between("tracker", self, 0, 1, "keyframe_inlier_ratio")
@@ -81,10 +92,25 @@ class StereoOrbConfig(PluginConfig):
             if not getattr(self, key) > 0:
                 raise BenchError(f"tracker.{key}={getattr(self, key)} must be above 0.")
 
+    def _check_features(self) -> None:
+        """A setting of features that are not in use would do nothing."""
+        if self.features.isdigit():
+            raise BenchError(
+                f"tracker.features={self.features}: it says which features, orb or xfeat; their number is "
+                f"tracker.keypoints={self.features}."
+            )
+        others = _SETTINGS_OF[require_choice("tracker.features", self.features, tuple(_SETTINGS_OF))]
+        for each in fields(StereoOrbConfig):
+            if each.name in others and getattr(self, each.name) != each.default:
+                raise BenchError(
+                    f"tracker.{each.name}={getattr(self, each.name)} is not for tracker.features={self.features}; "
+                    "leave it out."
+                )
+
 
 @register("tracker", "stereo_orb", config=StereoOrbConfig)
 class StereoOrb(Tracker):
-    """Stereo ORB odometry with local map, local bundle adjustment and loop closing; world = first camera."""
+    """Stereo odometry (ORB or XFeat) with local map, local bundle adjustment, loop closing; world = first camera."""
 
     worth_caching = True
 
@@ -93,12 +119,27 @@ class StereoOrb(Tracker):
             import_gtsam()
         self._config = config
         self._settings = OdometrySettings(**{f.name: getattr(config, f.name) for f in fields(OdometrySettings)})
+        self._weights = chosen("tracker.weights", config.weights, "xfeat") if config.features == "xfeat" else None
+        self._extractor = self._make_extractor()
         self._vocabulary = vocabulary.load(Path(config.vocabulary)) if config.vocabulary else None
         self._odometry: StereoOdometry | None = None
         self._closer: LoopCloser | None = None
         self._keyframe_numbers = Growing(np.empty(0, np.int64))
         self._frames = FrameTrack()
         self._archive = Archive()
+
+    def weights(self) -> dict[str, Path]:
+        """XFeat's, where it is on."""
+        return {} if self._weights is None else {"network": self._weights}
+
+    def _make_extractor(self) -> Extractor:
+        config = self._config
+        if self._weights is None:
+            return OrbExtractor(config.keypoints, config.octaves, config.scale_factor, config.fast_threshold)
+        from bench.stereo.device import choose_device  # here: they import torch
+        from bench.tracking.xfeat import XFeatExtractor
+
+        return XFeatExtractor(config.keypoints, self._weights, choose_device(config.device, "tracker.device"))
 
     def start(self, dataset: Dataset) -> None:
         """Begin a new sequence with its camera."""
@@ -109,12 +150,13 @@ class StereoOrb(Tracker):
             dataset.camera,
             self._config.loops,
             dataset.camera.fx / self._settings.max_depth_baselines,
-            self._settings.scale_factor,
+            self._extractor.scale_factor,
             self._vocabulary,
             self._config.loop_closure,
             self._archive,
+            self._extractor.sigma_px,
         )
-        self._odometry = StereoOdometry(dataset.camera, self._settings, self._closer.relocalise)
+        self._odometry = StereoOdometry(dataset.camera, self._settings, self._extractor, self._closer.relocalise)
 
     def use_store(self, store: ArrayStore) -> None:
         """Places, words, and poses of long ago go there."""

@@ -77,7 +77,7 @@ def test_a_second_run_repeats_the_first_ones_tracking(tmp_path: Path, tracked: l
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("override", ["tracker.features=700", "dataset.seed=5", "dataset.frames=5"])
+@pytest.mark.parametrize("override", ["tracker.keypoints=700", "dataset.seed=5", "dataset.frames=5"])
 def test_another_tracker_or_street_is_tracked(tmp_path: Path, tracked: list[int], override: str) -> None:
     run(tmp_path, "one", "mapper=none")
     run(tmp_path, "other", "mapper=none", override)

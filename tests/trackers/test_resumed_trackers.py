@@ -21,6 +21,7 @@ from bench.registry import lookup
 from bench.tracking import growing
 from bench.tracking.loops import place_list, places
 from bench.types import StereoFrame, TrackingResult
+from bench.weights import locate
 
 
 def build(name: str, dataset: Dataset, store: ArrayStore, **settings: Any) -> Tracker:
@@ -77,10 +78,13 @@ def small_groups(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("small_groups")
-def test_odometry_goes_on_also_while_it_is_lost(wall: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("features", ["orb", "xfeat"])
+def test_odometry_goes_on_also_while_it_is_lost(wall: Any, tmp_path: Path, features: str) -> None:
+    if features == "xfeat" and locate("xfeat") is None:
+        pytest.skip("no XFeat weights; get them with `bgs-bench weights get xfeat`")
     frames = [wall.frame(k) for k in range(12)]
     frames[5:8] = [black(frame) for frame in frames[5:8]]
-    settings: dict[str, Any] = {"features": 400, "bridge_frames": 1}
+    settings: dict[str, Any] = {"features": features, "keypoints": 400, "bridge_frames": 1}
     results = follow("stereo_orb", wall, frames, (0, 4, 5, 6, 7, 8), tmp_path, **settings)
     assert [result.state for result in results[5:8]] == ["lost"] * 3
     assert results[-1].state == "ok"

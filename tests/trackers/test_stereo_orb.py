@@ -55,7 +55,7 @@ def kitti_run(kitti_grey: Any) -> tuple[list[TrackingResult], Trajectory]:
 
 
 def test_wall_is_passed_at_the_right_speed(wall: Any) -> None:
-    tracker = stereo_orb(features=800)
+    tracker = stereo_orb(keypoints=800)
     results = drive(tracker, wall, list(range(12)))
     assert [r.state for r in results] == ["ok"] * 12
     truth = wall.ground_truth().T_world_cam
@@ -65,7 +65,7 @@ def test_wall_is_passed_at_the_right_speed(wall: Any) -> None:
 
 
 def test_landmarks_follow_the_wall(wall: Any) -> None:
-    results = drive(stereo_orb(features=800), wall, list(range(4)))
+    results = drive(stereo_orb(keypoints=800), wall, list(range(4)))
     for before, now in itertools.pairwise(results):
         assert before.landmarks is not None
         assert now.landmarks is not None
@@ -157,7 +157,7 @@ def test_nothing_but_black_is_lost_and_no_crash(wall: Any) -> None:
 
 
 def test_world_is_the_first_frame_that_shows_something(wall: Any) -> None:
-    tracker = stereo_orb(features=800)
+    tracker = stereo_orb(keypoints=800)
     tracker.start(wall)
     tracker.track(blank(wall.frame(0)))
     second = tracker.track(wall.frame(1))
@@ -167,7 +167,7 @@ def test_world_is_the_first_frame_that_shows_something(wall: Any) -> None:
 
 def test_noise_images_don_t_crash(wall: Any) -> None:
     rng = np.random.default_rng(0)
-    tracker = stereo_orb(features=500)
+    tracker = stereo_orb(keypoints=500)
     tracker.start(wall)
     for i in range(4):
         left, right = rng.integers(0, 256, (2, 240, 480, 3), dtype=np.uint8)
@@ -178,7 +178,12 @@ def test_noise_images_don_t_crash(wall: Any) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"features": 10}, r"tracker\.features=10 is too small; the least is 100"),
+        ({"keypoints": 10}, r"tracker\.keypoints=10 is too small; the least is 100"),
+        ({"features": "2000"}, r"tracker\.features=2000: it says which .*; their number is tracker\.keypoints=2000"),
+        ({"features": "xfaet"}, r"tracker\.features=.*xfeat"),
+        ({"features": "xfeat", "octaves": 4}, r"tracker\.octaves=4 is not for tracker\.features=xfeat; leave it out"),
+        ({"device": "cpu"}, r"tracker\.device=cpu is not for tracker\.features=orb"),
+        ({"features": "xfeat", "weights": "none.pt"}, r"tracker\.weights=none\.pt is no file"),
         ({"scale_factor": 1.0}, r"tracker\.scale_factor=1\.0 must be above 1"),
         ({"stereo_depth_baselines": 0.0}, r"tracker\.stereo_depth_baselines=0\.0 must be above 0"),
     ],

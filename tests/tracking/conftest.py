@@ -9,6 +9,7 @@ import pytest
 
 from bench.io.images import grey
 from bench.registry import lookup
+from bench.tracking.features import OrbExtractor
 from bench.tracking.odometry import OdometrySettings, StereoOdometry
 from bench.types import StereoCamera
 
@@ -34,15 +35,20 @@ def drive(_plugins: None) -> Drive:
 
 @pytest.fixture
 def settings() -> OdometrySettings:
-    """The plugin's own defaults, with fewer keypoints for the smaller image."""
-    plugin = lookup("tracker", "stereo_orb")
-    config = plugin.config(name="stereo_orb", features=1000)
+    """The plugin's own defaults."""
+    config = lookup("tracker", "stereo_orb").config(name="stereo_orb")
     return OdometrySettings(**{name: getattr(config, name) for name in OdometrySettings.__dataclass_fields__})
 
 
+@pytest.fixture(scope="session")
+def extractor() -> OrbExtractor:
+    """With fewer keypoints than the plugin's default, for the smaller image."""
+    return OrbExtractor(1000, fast_threshold=7)
+
+
 @pytest.fixture
-def odometry(drive: Drive, settings: OdometrySettings) -> Callable[..., StereoOdometry]:
+def odometry(drive: Drive, settings: OdometrySettings, extractor: OrbExtractor) -> Callable[..., StereoOdometry]:
     def make(**arguments: object) -> StereoOdometry:
-        return StereoOdometry(drive.camera, settings, **arguments)  # type: ignore[arg-type]
+        return StereoOdometry(drive.camera, settings, extractor, **arguments)  # type: ignore[arg-type]
 
     return make

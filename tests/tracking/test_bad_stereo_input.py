@@ -68,13 +68,13 @@ def test_right_image_black_after_a_while(drive: Any, odometry: Any) -> None:
             np.testing.assert_allclose(result.T_world_cam[:3, 3], drive.poses[i, :3, 3], atol=0.5)
 
 
-def test_lorry_that_hides_half_of_the_street(settings: Any) -> None:
+def test_lorry_that_hides_half_of_the_street(settings: Any, extractor: Any) -> None:
     """In an image this small its points outnumber those of the street: the pose may follow it, but not silently."""
     plugin = lookup("dataset", "street")
     config = plugin.config(name="street", frames=26, width=512, height=192, truck=True, truck_frames=(12, 20))
     street = plugin.cls(config)
     frames = [street.frame(i) for i in range(26)]
-    results = run(StereoOdometry(street.camera, settings), [(grey(f.left), grey(f.right)) for f in frames])
+    results = run(StereoOdometry(street.camera, settings, extractor), [(grey(f.left), grey(f.right)) for f in frames])
     truth = street.ground_truth().T_world_cam[:, :3, 3]
     far = [i for i, r in enumerate(results) if r.state == "ok" and np.abs(r.T_world_cam[:3, 3] - truth[i]).max() > 1.0]
     assert not far or set(states(results)[: far[0] + 1]) & set("wl")

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.geometry import se3
 from bench.io.torch_files import from_state, to_state
-from bench.tracking.features import Ints
+from bench.tracking.descriptors import Ints, as_they_were
 from bench.tracking.growing import Archive
 from bench.tracking.local_map import KeyframeRecord, View
 from bench.tracking.loops.hypotheses import Match, Run, rival_of
@@ -82,15 +82,18 @@ class LoopCloser:
         vocabulary: Vocabulary | None,
         closing: bool,
         archive: Archive,
+        sigma_px: float = 1.0,
     ) -> None:
         """``least_disparity`` in pixels: farther keypoints are no part of a place; ``scale_factor`` from octave to
-        octave; ``archive`` takes what never changes. Raises ``BenchError`` when ``closing`` without gtsam."""
+        octave, and how far keypoints are off, ``sigma_px``, in pixels of the octave; ``archive`` takes what never
+        changes. Raises ``BenchError`` when ``closing`` without gtsam."""
         if closing:
             import_gtsam()
         self._camera = camera
         self._set = settings
         self._least_disparity = least_disparity
         self._scale_factor = scale_factor
+        self._sigma_px = sigma_px
         self._closing = closing
         self._vocabulary = vocabulary
         self._archive = archive
@@ -111,7 +114,7 @@ class LoopCloser:
         self._relocalised_at = None
         if not self._is_new_place(poses):
             return None
-        place = Place.of(keyframe.view, keyframe.index, self._least_disparity, self._scale_factor)
+        place = Place.of(keyframe.view, keyframe.index, self._least_disparity, self._scale_factor, self._sigma_px)
         self._places.append(place)
         similarities = self._enter_index()
         self._at_places = poses[self._places.keyframes]
@@ -144,7 +147,7 @@ class LoopCloser:
         self._places.restore(state["places"])
         if state["index"] is not None:
             arrays = self._archive.get(_VOCABULARY)
-            self._vocabulary = Vocabulary.of_arrays({**arrays, "centroid": arrays["centroid"].view(np.uint64)})
+            self._vocabulary = Vocabulary.of_arrays({**arrays, "centroid": as_they_were(arrays["centroid"])})
             self._index = PlaceIndex(len(self._vocabulary), self._archive)
             self._index.restore(state["index"])
         last, edges = state["last_vector"], state["edges"]
@@ -164,7 +167,7 @@ class LoopCloser:
     def relocalise(self, view: View) -> tuple[int, Float] | None:
         """The keyframe whose place the view (of a lost camera) shows, and the pose T_keyframe_cam (4, 4); else None."""
         self._relocalised_at = None
-        here = Place.of(view, -1, self._least_disparity, self._scale_factor)
+        here = Place.of(view, -1, self._least_disparity, self._scale_factor, self._sigma_px)
         if len(here) < self._set.min_inliers or not self._places:
             return None
         found: list[tuple[int, Verified]] = []

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bench.geometry import se3
-from bench.tracking.features import Ints
+from bench.tracking.descriptors import Ints
 from bench.tracking.growing import Archive, Growing
 from bench.tracking.loops.pose_graph import Edge
 from bench.types import Float, Mask

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.io.torch_files import from_state, to_state
-from bench.tracking.features import Ints
+from bench.tracking.descriptors import Ints, as_they_were
 from bench.tracking.growing import Archive, Array, Growing
 from bench.tracking.loops.places import BLOCK, Place
 
@@ -60,7 +60,7 @@ class PlaceList:
 
 def _joined(places: Sequence[Place]) -> dict[str, Array]:
     """Places as arrays: one row each, and the keypoints of all one after another."""
-    alone = ("keyframe", "least_disparity", "scale_factor")
+    alone = ("keyframe", "least_disparity", "scale_factor", "sigma_px")
     rows = {name: np.array([getattr(place, name) for place in places]) for name in alone}
     columns = {name: np.concatenate([getattr(place, name) for place in places]) for name in _COLUMNS}
     return rows | columns | {"count": np.array([len(place) for place in places])}
@@ -69,7 +69,7 @@ def _joined(places: Sequence[Place]) -> dict[str, Array]:
 def _separate(arrays: Mapping[str, Array]) -> list[Place]:
     """The places of ``_joined``, as views."""
     edges = np.append(0, np.cumsum(arrays["count"])).tolist()
-    descriptors = arrays["descriptors"].view(np.uint64)
+    descriptors = as_they_were(arrays["descriptors"])
     return [
         Place(
             int(arrays["keyframe"][k]),
@@ -79,6 +79,7 @@ def _separate(arrays: Mapping[str, Array]) -> list[Place]:
             descriptors[a:b],
             float(arrays["least_disparity"][k]),
             float(arrays["scale_factor"][k]),
+            float(arrays["sigma_px"][k]),
         )
         for k, (a, b) in enumerate(pairwise(edges))
     ]

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.io.torch_files import from_state, to_state
-from bench.tracking.features import Descriptors, Features, Ints
+from bench.tracking.descriptors import Descriptors, Ints
+from bench.tracking.features import Features
 from bench.tracking.growing import Archive
 from bench.tracking.local_map import View
 from bench.tracking.loops.vocabulary import Vocabulary
@@ -23,11 +24,11 @@ BLOCK = 128
 
 @dataclass(frozen=True)
 class Place:
-    """What a keyframe leaves behind: its N keypoints with stereo depth, 45 bytes each.
+    """What a keyframe leaves behind: its N keypoints with stereo depth, 45 bytes each (77 with descriptors of int8).
 
-    ``xy`` (N, 2) float32 pixels, ``octave`` (N,) int8, ``disparity`` (N,) float32 pixels, ``descriptors`` (N, 4)
-    uint64. Octaves differ by ``scale_factor``. Disparities below ``least_disparity`` place points but are no
-    measurements (see ``View``).
+    ``xy`` (N, 2) float32 pixels, ``octave`` (N,) int8, ``disparity`` (N,) float32 pixels, ``descriptors`` (N, W).
+    Octaves differ by ``scale_factor``; keypoints are off by ``sigma_px`` pixels of theirs. Disparities below
+    ``least_disparity`` place points but are no measurements (see ``View``).
     """
 
     keyframe: int
@@ -37,9 +38,10 @@ class Place:
     descriptors: Descriptors
     least_disparity: float
     scale_factor: float
+    sigma_px: float = 1.0
 
     @classmethod
-    def of(cls, view: View, keyframe: int, least_disparity: float, scale_factor: float) -> Place:
+    def of(cls, view: View, keyframe: int, least_disparity: float, scale_factor: float, sigma_px: float = 1.0) -> Place:
         """The keypoints of a view whose disparity is at least ``least_disparity`` pixels (farther ones say little)."""
         with np.errstate(invalid="ignore"):
             near = np.flatnonzero(view.disparity >= least_disparity)
@@ -51,6 +53,7 @@ class Place:
             view.features.descriptors[near],
             view.least_disparity,
             scale_factor,
+            sigma_px,
         )
 
     def __len__(self) -> int:
@@ -71,7 +74,7 @@ class Place:
         """Measurements of the chosen (M,) keypoints."""
         disparity = self.disparity[chosen].astype(np.float64)
         disparity = np.where(disparity < self.least_disparity, np.nan, disparity)
-        weight = np.asarray(self.scale_factor ** (-2.0 * self.octave[chosen]), dtype=np.float64)
+        weight = np.asarray(self.scale_factor ** (-2.0 * self.octave[chosen]) / self.sigma_px**2, dtype=np.float64)
         return Observations(self.xy[chosen].astype(np.float64), disparity, weight)
 
 
@@ -84,7 +87,7 @@ class WordVector:
 
 
 def word_vector(vocabulary: Vocabulary, descriptors: Descriptors) -> WordVector:
-    """tf-idf weights of the words of descriptors (N, 4), scaled to sum 1 (Galvez-Lopez and Tardos, T-RO 2012)."""
+    """tf-idf weights of the words of descriptors (N, W), scaled to sum 1 (Galvez-Lopez and Tardos, T-RO 2012)."""
     words, count = np.unique(vocabulary.words(descriptors), return_counts=True)
     values = count * vocabulary.word_idf[words]
     return WordVector(words, (values / max(values.sum(), 1e-300)).astype(np.float32))

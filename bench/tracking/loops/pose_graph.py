@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.errors import BenchError
 from bench.geometry import se3
-from bench.tracking.features import Ints
+from bench.tracking.descriptors import Ints
 from bench.types import Float, Mask
 
 _INLIER_COST = 0.5 * 16.811893829770927

@@ -7,7 +7,8 @@ import numpy as np
 from bench.contracts.dataset import Dataset
 from bench.errors import BenchError
 from bench.io.images import grey
-from bench.tracking.features import Descriptors, OrbExtractor
+from bench.tracking.descriptors import Descriptors
+from bench.tracking.features import OrbExtractor
 
 DEFAULT_FRAMES = 30
 DEFAULT_FEATURES = 1000

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.geometry import se3
-from bench.tracking.features import Ints
+from bench.tracking.descriptors import Ints
 from bench.tracking.loops.places import Place
 from bench.tracking.matching import match_boxes
 from bench.tracking.pose_optimization import (
@@ -22,8 +22,8 @@ from bench.types import Float, StereoCamera
 
 _RATIO = 0.85
 _LEAST_MATCHES = 15
-_RADIUS_PX, _MAX_HAMMING, _GUIDED_RATIO = 6.0, 64, 0.9
-"""Of the matches around the first pose: search radius in pixels of the octave, most differing bits, Lowe's ratio."""
+_RADIUS_PX, _MAX_DISTANCE, _GUIDED_RATIO = 6.0, 64, 0.9
+"""Of the matches around the first pose: search radius in pixels of the octave, greatest distance, Lowe's ratio."""
 _NEAR_M = 0.5
 _CELLS = (6, 3)
 """Columns and rows of the grid by which the spread of inliers is judged."""
@@ -93,7 +93,7 @@ def _match_around(camera: StereoCamera, old: Place, new: Place, T_new_old: Float
         old.descriptors[ahead],
         new.features,
         new.disparity.astype(np.float64),
-        _MAX_HAMMING,
+        _MAX_DISTANCE,
         _GUIDED_RATIO,
     )
     return ahead[at_old], at_new

@@ -1,4 +1,4 @@
-"""A tree of binary words: what makes the descriptors of two images comparable without matching them."""
+"""A tree of visual words: what makes the descriptors of two images comparable without matching them."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.errors import BenchError, first_line
-from bench.tracking.features import Descriptors, Ints
-from bench.tracking.matching import hamming
+from bench.tracking.descriptors import Descriptors, Ints, are_descriptors, metric_of
 from bench.types import Float, Mask
 
 _FORMAT = "bgs-bench vocabulary 1"
 _LLOYD_ITERATIONS = 4
-"""Rounds of k-majority on a level; the words change little after that."""
-_FAR = 1000
-"""More than the 256 bits by which two descriptors can differ."""
+"""Rounds of clustering on a level; the words change little after that."""
+_FAR = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
 class Vocabulary:
     """A tree of n nodes, breadth first, so that every node's children lie side by side; node 0 is the root.
 
-    ``parent`` (n,) int64, -1 for the root; ``centroid`` (n, 4) uint64, 256 bits each (the root's is zero); ``idf`` (n,)
-    float64, the weight of each leaf (0 elsewhere). The leaves are the words, numbered in the order of their nodes.
+    ``parent`` (n,) int64, -1 for the root; ``centroid`` (n, W), descriptors of either kind (the root's is zero);
+    ``idf`` (n,) float64, the weight of each leaf (0 elsewhere). The leaves are the words, numbered in the order of
+    their nodes.
     """
 
     parent: Ints
@@ -62,7 +61,7 @@ class Vocabulary:
         return int(self.is_leaf.sum())
 
     def words(self, descriptors: Descriptors) -> Ints:
-        """Word (N,) of each descriptor (N, 4): down the tree, at every node to the nearest child (the first of equals).
+        """Word (N,) of each descriptor (N, W): down the tree, at every node to the nearest child (the first of equals).
 
         Source: Nister and Stewenius, "Scalable recognition with a vocabulary tree", CVPR 2006.
         """
@@ -70,7 +69,7 @@ class Vocabulary:
         going = np.flatnonzero(~self.is_leaf[node])
         while len(going):
             children = self._children[node[going]]
-            distance = hamming(descriptors[going, None], self.centroid[children])
+            distance = metric_of(descriptors).rank(descriptors[going, None], self.centroid[children])
             distance[children < 0] = _FAR
             node[going] = children[np.arange(len(going)), distance.argmin(axis=1)]
             going = going[~self.is_leaf[node[going]]]
@@ -103,6 +102,8 @@ def load(path: Path) -> Vocabulary:
             if str(file["format"]) != _FORMAT:
                 raise BenchError(f"The vocabulary {path} has the format '{file['format']}', not '{_FORMAT}'. {advice}")
             vocabulary = Vocabulary.of_arrays(file)
+            if vocabulary.centroid.dtype != np.uint64:
+                raise ValueError("its words are no binary descriptors")
     except BenchError:
         raise
     except Exception as error:  # damage leads zip and its decoders to any
@@ -113,10 +114,11 @@ def load(path: Path) -> Vocabulary:
 def _checked_tree(parent: Ints, centroid: Descriptors, idf: Float, branching: int, depth: int) -> Vocabulary:
     """The tree, if the arrays are one; ``ValueError`` says what is wrong."""
     n = len(parent)
-    if parent.shape != (n,) or centroid.shape != (n, 4) or idf.shape != (n,) or n < 2 or branching < 2:
-        raise ValueError(f"arrays of shapes {parent.shape}, {centroid.shape}, {idf.shape}")
-    if parent.dtype != np.int64 or centroid.dtype != np.uint64 or idf.dtype != np.float64:
-        raise ValueError(f"arrays of types {parent.dtype}, {centroid.dtype}, {idf.dtype}")
+    shapes = parent.shape == idf.shape == (n,) == centroid.shape[:1] and are_descriptors(centroid)
+    if not shapes or n < 2 or branching < 2:
+        raise ValueError(f"arrays of shapes {parent.shape}, {centroid.shape} ({centroid.dtype}), {idf.shape}")
+    if parent.dtype != np.int64 or idf.dtype != np.float64:
+        raise ValueError(f"arrays of types {parent.dtype}, {idf.dtype}")
     breadth_first = parent[0] == -1 and (np.diff(parent) >= 0).all() and (parent[1:] < np.arange(1, n)).all()
     if not breadth_first or np.bincount(parent[1:]).max() > branching:
         raise ValueError("its nodes are not a tree in breadth-first order")
@@ -126,7 +128,7 @@ def _checked_tree(parent: Ints, centroid: Descriptors, idf: Float, branching: in
 
 
 def train(images: Sequence[Descriptors], branching: int = 10, depth: int = 4, seed: int = 0) -> Vocabulary:
-    """Hierarchical k-majority clustering of the descriptors of some images, each (N, 4) uint64.
+    """Hierarchical clustering, k-majority or k-means, of the descriptors of some images, each (N, W) of one kind.
 
     At most ``branching ** depth`` words. The weight of a word is log((I + 1) / i) for i of the I images showing it: the
     inverse document frequency of Galvez-Lopez and Tardos (DBoW2, T-RO 2012), made positive for words seen everywhere.
@@ -135,29 +137,30 @@ def train(images: Sequence[Descriptors], branching: int = 10, depth: int = 4, se
     """
     if branching < 2 or depth < 1:
         raise BenchError(f"A vocabulary needs branching >= 2 and depth >= 1; got {branching} and {depth}.")
-    descriptors = np.concatenate([np.empty((0, 4), np.uint64), *images])
-    if len(descriptors) < 2 * branching:
+    count = sum(map(len, images))
+    if count < 2 * branching:
         raise BenchError(
-            f"{len(descriptors)} descriptors are too few to train a vocabulary with branching {branching}; "
+            f"{count} descriptors are too few to train a vocabulary with branching {branching}; "
             f"it takes at least {2 * branching}. Use more or better textured frames."
         )
-    shuffled = descriptors[np.random.default_rng(seed).permutation(len(descriptors))]
-    bits = np.unpackbits(shuffled.view(np.uint8), axis=1)
-    parent, centroid = [np.array([-1])], [np.zeros((1, 4), np.uint64)]
+    descriptors: npt.NDArray[Any] = np.concatenate(images)
+    shuffled = descriptors[np.random.default_rng(seed).permutation(count)]
+    metric = metric_of(shuffled)
+    parent, centroid = [np.array([-1])], [np.zeros_like(shuffled[:1])]
     node = np.zeros(len(shuffled), dtype=np.int64)
     known = 1
     for _ in range(depth):
-        cluster, split = _split(shuffled, bits, node, branching)
+        cluster, split = _split(shuffled, node, branching)
         present, new = np.unique(cluster[split], return_inverse=True)
         if len(present) == 0:
             break
         parent.append(present // branching)
-        centroid.append(_majority(bits[split], new, len(present)))
+        centroid.append(metric.middles(shuffled[split], new, len(present)))
         node = np.where(split, 0, -1)
         node[split] = known + new
         # Descriptors of nodes that could not be split are done.
         known += len(present)
-        shuffled, bits, node = shuffled[split], bits[split], node[split]
+        shuffled, node = shuffled[split], node[split]
     tree = Vocabulary(np.concatenate(parent), np.concatenate(centroid), np.zeros(known), branching, depth)
     seen_by = np.zeros(len(tree))
     for image in images:
@@ -167,7 +170,7 @@ def train(images: Sequence[Descriptors], branching: int = 10, depth: int = 4, se
     return Vocabulary(tree.parent, tree.centroid, idf, branching, depth)
 
 
-def _split(descriptors: Descriptors, bits: npt.NDArray[np.uint8], node: Ints, branching: int) -> tuple[Ints, Mask]:
+def _split(descriptors: Descriptors, node: Ints, branching: int) -> tuple[Ints, Mask]:
     """Cluster the descriptors of every node into up to ``branching``, all nodes at once.
 
     Returns the cluster ``node * branching + slot`` of each descriptor, and which descriptors belong to a node that fell
@@ -181,29 +184,17 @@ def _split(descriptors: Descriptors, bits: npt.NDArray[np.uint8], node: Ints, br
     slot = np.arange(branching)
     centroid = descriptors[order[np.minimum(start[:, None] + slot, len(node) - 1)]]
     empty = slot >= count[:, None]
-    cluster = np.full(len(node), -1)
+    cluster, metric = np.full(len(node), -1), metric_of(descriptors)
     for _ in range(_LLOYD_ITERATIONS):
-        distance = hamming(descriptors[:, None], centroid[inverse])
+        distance = metric.rank(descriptors[:, None], centroid[inverse])
         distance[empty[inverse]] = _FAR
         before, cluster = cluster, inverse * branching + distance.argmin(axis=1)
         if np.array_equal(before, cluster):
             break
         present, group = np.unique(cluster, return_inverse=True)
-        centroid.reshape(-1, 4)[present] = _majority(bits, group, len(present))
+        centroid.reshape(-1, centroid.shape[-1])[present] = metric.middles(descriptors, group, len(present))
         empty = np.ones(len(nodes) * branching, dtype=bool)
         empty[present] = False
         empty = empty.reshape(-1, branching)
     split = (~empty).sum(axis=1)[inverse] >= 2
     return nodes[cluster // branching] * branching + cluster % branching, split
-
-
-def _majority(bits: npt.NDArray[np.uint8], group: Ints, groups: int) -> Descriptors:
-    """Descriptor (groups, 4) whose bits are those that most members have; ``bits`` (N, 256), ``group`` (N,)."""
-    order = np.argsort(group, kind="stable")
-    start = np.searchsorted(group[order], np.arange(groups))
-    # Runs of at most 255 rows are summed as bytes, eight to an integer, without overflow: five times as fast.
-    run = np.unique(np.concatenate([start, np.arange(0, len(group), 255)]))
-    partial = np.add.reduceat(bits[order].view(np.uint64), run, axis=0).view(np.uint8)
-    ones = np.add.reduceat(partial, np.searchsorted(run, start), axis=0, dtype=np.int64)
-    count = np.diff(start, append=len(group))
-    return np.packbits(2 * ones > count[:, None], axis=1).view(np.uint64)

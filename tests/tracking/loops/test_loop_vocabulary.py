@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.errors import BenchError
-from bench.tracking.loops.vocabulary import Vocabulary, _majority, load, train
+from bench.tracking.loops.vocabulary import Vocabulary, load, train
 
 
 def images(seed: int, count: int = 8, size: int = 400) -> list[np.ndarray]:
@@ -57,14 +57,6 @@ def test_well_separated_clusters_become_words_with_their_exact_centres(flip_bits
     tree = train([noisy], branching=3, depth=1, seed=1)
     assert {tuple(c) for c in tree.centroid[1:]} == {tuple(c) for c in centres}
     assert len({(int(w), int(c)) for w, c in zip(tree.words(noisy), label, strict=True)}) == 3
-
-
-def test_majority_is_the_rounded_mean_of_the_bits_also_of_more_than_255() -> None:
-    rng = np.random.default_rng(4)
-    group = rng.choice(3, 2001, p=[0.8, 0.19, 0.01])
-    bits = (rng.random((2001, 256)) < 0.6).astype(np.uint8)
-    expected = [bits[group == g].mean(axis=0) > 0.5 for g in range(3)]
-    assert np.array_equal(np.unpackbits(_majority(bits, group, 3).view(np.uint8), axis=1), expected)
 
 
 def test_idf_is_the_logarithm_of_images_by_images_with_the_word() -> None:

@@ -115,7 +115,7 @@ def test_a_street_with_repeated_facades_closes_and_says_so(tmp_path: Path, monke
     truth = dataset.ground_truth()
     assert truth is not None
     breaks = (30, 59, 60, 61, 62)
-    closed, events = broken_drive(dataset, breaks, tmp_path, features=1200)
+    closed, events = broken_drive(dataset, breaks, tmp_path, keypoints=1200)
     assert {event.kind for event in events} == {"loop_closed"}
     first = events[0]
     # One lap is 60 frames; the place may be that of a frame or so beside.
