@@ -16,5 +16,7 @@ COPY --from=build /opt/bgs-bench /opt/bgs-bench
 ENV PATH=/opt/bgs-bench/bin:$PATH
 USER bench
 WORKDIR /bench
+# For LPIPS, as make install does.
+RUN bgs-bench weights get alexnet
 ENTRYPOINT ["bgs-bench"]
 CMD ["--help"]

@@ -12,5 +12,6 @@ RUN python3 -m venv /opt/bgs-bench && /opt/bgs-bench/bin/pip install --no-cache-
 ENV PATH=/opt/bgs-bench/bin:$PATH TORCH_EXTENSIONS_DIR=/home/bench/.cache/torch_extensions
 USER bench
 WORKDIR /bench
+RUN bgs-bench weights get alexnet
 ENTRYPOINT ["bgs-bench"]
 CMD ["--help"]
