@@ -219,7 +219,7 @@ class Street(Dataset):
         ahead = rear_ahead_m(position, self._config.truck_frames)
         if self._config.truck and -_TRUCK_SEEN_M < ahead < _TRUCK_SEEN_M:
             moving.extend(truck_surfaces(path, s + ahead, seed))
-        return self._street.seen_from(s, moving)
+        return self._street.seen_from(max(s, 0.0), moving)  # the first frame's shutter opens before the street begins
 
     def _pose(self, position: float) -> Float:
         """T_street_cam: in its lane, along the street, with a little pitch, roll and heave as of a car."""
