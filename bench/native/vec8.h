@@ -89,6 +89,17 @@ typedef int32_t i8 __attribute__((vector_size(32)));
 
 [[maybe_unused]] inline float sum(f8 v) { return ((v[0] + v[4]) + (v[1] + v[5])) + ((v[2] + v[6]) + (v[3] + v[7])); }
 
+// The sums of two vectors, each as sum() has it.
+[[maybe_unused]] inline void store_sums(float* p, f8 a, f8 b) {
+#if defined(__AVX2__)
+    auto fold = [](f8 v) { return _mm_add_ps(_mm256_castps256_ps128(reinterpret_cast<__m256>(v)), _mm256_extractf128_ps(reinterpret_cast<__m256>(v), 1)); };
+    const __m128 pairs = _mm_hadd_ps(fold(a), fold(b)), both = _mm_hadd_ps(pairs, pairs);
+    std::memcpy(p, &both, 2 * sizeof(float));
+#else
+    p[0] = sum(a), p[1] = sum(b);
+#endif
+}
+
 // Sums of eight vectors as one vector.
 [[maybe_unused]] inline f8 sums(f8 a, f8 b, f8 c, f8 d, f8 e, f8 f, f8 g, f8 h) {
 #if defined(__AVX2__)
@@ -102,16 +113,26 @@ typedef int32_t i8 __attribute__((vector_size(32)));
 #endif
 }
 
-// 2^x for x in -126 .. 127, relative error below 2e-7 in float32; outside, anything (also NaN), but no trap.
-[[maybe_unused]] inline f8 exp2_in_range(f8 x) {
+// 2^x of N vectors for x in -126 .. 127, relative error below 2e-7 in float32; outside, anything (also NaN), but no trap. All
+// go side by side, an operation at a time: kernels_raster.inc says why.
+template <int N> inline void exp2_in_range(const f8* x, f8* power) {
     const f8 magic = splat(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest integer
-    const f8 shifted = x + magic;
-    const f8 f = x - (shifted - magic), f2 = f * f;
-    const f8 middle = splat(5.55071346e-2f) * f + splat(2.40221202e-1f);
-    const f8 high = splat(1.32764701e-3f) * f + splat(9.67554096e-3f);
+    f8 shifted[N], f[N], middle[N], high[N];
+    for (int k = 0; k < N; ++k) shifted[k] = x[k] + magic;
+    for (int k = 0; k < N; ++k) f[k] = x[k] - (shifted[k] - magic);
+    for (int k = 0; k < N; ++k) middle[k] = multiply_add(splat(5.55071346e-2f), f[k], splat(2.40221202e-1f));
+    for (int k = 0; k < N; ++k) high[k] = multiply_add(splat(1.32764701e-3f), f[k], splat(9.67554096e-3f));
+    for (int k = 0; k < N; ++k) power[k] = multiply_add(high[k], f[k] * f[k], middle[k]);
     // The last two steps as Horner has them: one rounding of the sum, half the error of a fully balanced tree.
-    const f8 p = ((high * f2 + middle) * f + splat(6.93146944e-1f)) * f + splat(1.00000012f);
-    return reinterpret_cast<f8>(reinterpret_cast<i8>(p) + (reinterpret_cast<i8>(shifted) << 23));
+    for (int k = 0; k < N; ++k) power[k] = multiply_add(power[k], f[k], splat(6.93146944e-1f));
+    for (int k = 0; k < N; ++k) power[k] = multiply_add(power[k], f[k], splat(1.00000012f));
+    for (int k = 0; k < N; ++k) power[k] = reinterpret_cast<f8>(reinterpret_cast<i8>(power[k]) + (reinterpret_cast<i8>(shifted[k]) << 23));
+}
+
+[[maybe_unused]] inline f8 exp2_in_range(f8 x) {
+    f8 power;
+    exp2_in_range<1>(&x, &power);
+    return power;
 }
 
 // 2^x with x clamped to the range of normal numbers.

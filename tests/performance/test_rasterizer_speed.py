@@ -46,7 +46,7 @@ def whole_iteration(rasterizer: CpuRasterizer, planes: Tensor) -> Callable[[], N
     def run() -> None:
         rendered: Rendered = rasterizer.render(gaussians.planes, VIEW)
         _, gradients = losses.evaluate(rendered, target)
-        optimizer.step(gaussians, rasterizer.backward(rendered, *gradients))
+        optimizer.learn(gaussians, rasterizer, rendered, gradients)
 
     return run
 
