@@ -23,7 +23,8 @@ Image = npt.NDArray[np.uint8]
 Map = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
-TrackingState = Literal["ok", "weak", "lost"]
+TrackingState = Literal["ok", "weak", "predicted", "lost"]
+"""Of a frame: located by its image; located, but doubtful; a pose that no image confirmed; no pose at all."""
 
 
 @dataclass(frozen=True)
@@ -210,8 +211,10 @@ class Event:
 class TrackingResult:
     """What a tracker says about one frame.
 
-    ``T_world_cam`` is None exactly when ``state`` is "lost". ``landmarks`` are ids of the map points observed in this
-    frame (int64, unique), or None from a tracker that has no features. ``reprojection_px`` is the RMS over inliers.
+    ``T_world_cam`` is None exactly when ``state`` is "lost". "ok" and "weak" are poses that the image confirmed, "weak"
+    with doubts; "predicted" is one that it did not, such as a guess of constant motion: no keyframe, and never mapped.
+    ``landmarks`` are ids of the map points observed in this frame (int64, unique), or None from a tracker that has no
+    features. ``reprojection_px`` is the RMS over inliers.
     ``exposure`` (a, b): the image is exp(a) times the map's colours (0 to 1) plus b, from a tracker that estimates it.
     ``events``: what happened at this frame, in order.
     """

@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -18,10 +18,10 @@ from bench.authoring.shown_map import ShownMap
 from bench.authoring.verdict import Candidate, Check, ContractBrokenError, Note
 from bench.evaluation.trajectory import absolute_trajectory_error
 from bench.io.array_store import ArrayStore
-from bench.types import DepthMap, StereoFrame, TrackingResult, Trajectory
+from bench.types import DepthMap, StereoFrame, TrackingResult, TrackingState, Trajectory
 
 FRAMES = 8
-_STATES = ("ok", "weak", "lost")
+_STATES = get_args(TrackingState)
 
 
 @dataclass(frozen=True)

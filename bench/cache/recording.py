@@ -83,7 +83,7 @@ class Recording:
         landmarks = [np.zeros(0, np.int64) if r.landmarks is None else r.landmarks for r in results]
         arrays: dict[str, npt.NDArray[Any]] = {
             "digests": np.array([np.frombuffer(frame.digest, np.uint8) for frame in self.frames]).reshape(-1, 32),
-            "states": np.array([r.state for r in results], dtype="U8"),
+            "states": np.array([r.state for r in results], dtype=np.str_),
             "estimates": np.array([nowhere if r.T_world_cam is None else r.T_world_cam for r in results]),
             "inliers": np.array([r.inliers for r in results], dtype=np.int64),
             "reprojection_px": np.array([r.reprojection_px for r in results], dtype=np.float64),
@@ -118,7 +118,7 @@ class Recording:
                     a["digests"][k].tobytes(),
                     TrackingResult(
                         None if a["states"][k] == "lost" else a["estimates"][k],
-                        str(a["states"][k]),  # type: ignore[arg-type]  # one of the three, as it was written
+                        str(a["states"][k]),  # type: ignore[arg-type]  # a state, as it was written
                         int(a["inliers"][k]),
                         float(a["reprojection_px"][k]),
                         None if a["without_landmarks"][k] else landmarks[k],

@@ -1,4 +1,4 @@
-"""How many frames were tracked well, weakly or not at all, and where the lost ones are."""
+"""How many frames were tracked well, weakly, by prediction alone or not at all, and where the lost ones are."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ import numpy.typing as npt
 
 
 def count_states(numbers: Sequence[int] | npt.NDArray[np.int64], states: Sequence[str]) -> dict[str, Any]:
-    """``tracked``, ``ok``, ``weak``, ``lost`` and ``lost_stretches`` of frames in order, with a state for each.
+    """``tracked``, ``ok``, ``weak``, ``predicted``, ``lost`` and ``lost_stretches`` of frames in order.
 
-    A stretch is ``[first, last]``, two frame numbers; frames that follow each other in the sequence belong together,
-    also where their numbers step by more than one. Tracked = all that are not lost. Where states are "unknown" (another
-    system's output without a trajectory), the counts are None.
+    ``states`` are those of ``numbers``. A stretch is ``[first, last]``, two frame numbers; frames that follow each
+    other in the sequence belong together, also where their numbers step by more than one. Tracked = all that are not
+    lost. Where states are "unknown" (another system's output without a trajectory), the counts are None.
     """
     count = Counter(states)
     if count["unknown"]:
-        return dict.fromkeys(("tracked", "ok", "weak", "lost")) | {"lost_stretches": []}
+        return dict.fromkeys(("tracked", "ok", "weak", "predicted", "lost")) | {"lost_stretches": []}
     return {
         "tracked": len(states) - count["lost"],
         "ok": count["ok"],
         "weak": count["weak"],
+        "predicted": count["predicted"],
         "lost": count["lost"],
         "lost_stretches": stretches(numbers, np.array([state == "lost" for state in states], dtype=bool)),
     }

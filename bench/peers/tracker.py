@@ -54,7 +54,7 @@ class PeerTracker(Tracker):
     """Sends the frames to a peer process and puts its maps into one world.
 
     The first map's world is the world. A later map (the peer lost its place and began anew, or crashed and was started
-    again) is put where constant velocity would have brought the camera; its first frame counts as "weak". After
+    again) is put where constant velocity would have brought the camera; its first frame counts as "predicted". After
     ``limits.restarts`` failures all further frames are lost. A subclass says what the peer is told at its start.
     """
 
@@ -85,7 +85,7 @@ class PeerTracker(Tracker):
             ) from failure
 
     def track(self, frame: StereoFrame) -> TrackingResult:
-        """Pose of the frame as the peer gives it; "weak" where a new map begins, "lost" without a usable answer."""
+        """Pose of the frame as the peer has it; "predicted" where a new map begins, "lost" without a usable answer."""
         self._frames_seen += 1
         if self._failures > self._limits.restarts:
             return TrackingResult(None, "lost")
@@ -157,7 +157,7 @@ class PeerTracker(Tracker):
         if key not in self._worlds:
             if self._worlds:
                 log.warning("frame %d: %s began a new map, put at constant velocity", frame.number, self._name)
-                state = "weak"
+                state = "predicted"
             self._worlds[key] = self._predicted() @ se3.inverse(T_map_cam)
         one = _Tracked(self._frames_seen, frame.number, frame.timestamp, key, T_map_cam)
         self._tracked[frame.number] = one

@@ -24,7 +24,10 @@ _IN_WORDS = {
     "of {loops} loops believed); {keyframes_moved} of {keyframes} tracker keyframes moved, the farthest by "
     "{farthest_m:.2f} m",
     "lost": "frame {frame}: tracking is lost",
+    "predicted": "frame {frame}: the pose is a prediction that the image did not confirm; the frame is not mapped",
     "relocalised": "frame {frame}: the place of frame {to_frame} is recognised; tracking goes on from there",
+    "second_motion": "frame {frame}: two motions: by {inliers} points the camera moved {moved_m:.2f} m, by "
+    "{other_inliers} others {other_moved_m:.2f} m; believed are the first, which agree with what has stood still",
     "map_moved": "the map follows corrected poses: {keyframes} keyframes with {gaussians} Gaussians move by up to "
     "{largest_m:.3f} m and {largest_deg:.3f} degrees",
     "pruned": "frame {frame}: {count} Gaussians pruned",
@@ -59,7 +62,7 @@ def _level(event: Event) -> int:
     )
     if small_move or event.kind in ("pruned", "chunk_frozen"):
         return logging.DEBUG
-    return logging.WARNING if event.kind in ("lost", "warning", "no_depth") else logging.INFO
+    return logging.WARNING if event.kind in ("lost", "predicted", "warning", "no_depth") else logging.INFO
 
 
 def check_events(events: Sequence[Event], what: str) -> None:

@@ -81,7 +81,7 @@ def _frames(system: System, check: PairCheck, first: int) -> Generator[Seen, Non
         }
         events = (*told, *tracking.events)
         of_frame = (frame, tracking.T_world_cam, row)
-        if tracking.state == "lost" or row["heldout"]:
+        if tracking.state in ("lost", "predicted") or row["heldout"]:
             yield Seen(*of_frame, events)
             continue
         decision = system.keyframer.update(frame, tracking)

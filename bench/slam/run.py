@@ -222,8 +222,9 @@ class _Run:
         done.seconds["tracking"] += row["tracking_s"]
         done.seconds["stereo"] += row["stereo_s"]
         done.note(seen.events)
-        if row["state"] == "lost" and not (done.rows and done.rows[-1]["state"] == "lost"):
-            done.note([Event("lost", row["number"])])
+        state = row["state"]
+        if state in ("lost", "predicted") and not (done.rows and done.rows[-1]["state"] == state):
+            done.note([Event(state, row["number"])])
         mapping_before, losses = done.seconds["mapping"], None
         if seen.keyframe is not None:
             done.keyframe_poses.append(seen.keyframe.T_world_cam.copy())
@@ -238,7 +239,7 @@ class _Run:
 
     def _require_tracked(self) -> None:
         """Raise ``BenchError`` where tracking never worked: the pose that the world begins at is no trajectory."""
-        tracked = sum(row["state"] != "lost" for row in self.done.rows)
+        tracked = sum(row["state"] not in ("lost", "predicted") for row in self.done.rows)
         if self.total <= 2 or tracked > 1:
             return
         why = "; ".join(self.done.warnings()) or "See the images, the calibration and log.txt."

@@ -42,6 +42,7 @@ FIXED = (
     Column("status", "Status"),
     Column("frames", "Frames"),
     Column("weak", "Weak", is_number=True),
+    Column("predicted", "Predicted", optional=True, is_number=True),
     Column("lost", "Lost", is_number=True),
 )
 """What every run has, before its metrics."""
@@ -149,11 +150,13 @@ def _looks_like_run(folder: Path) -> bool:
 
 
 def _show_tracked(frames: dict[str, Any], values: dict[str, Any]) -> None:
-    """Put the numbers of tracked, weak and lost frames into a row's values, those lost in the status too."""
+    """Put the numbers of tracked, weak, predicted and lost frames into a row's values, those lost in the status too."""
     tracked, lost = frames.get("tracked"), frames.get("lost")
     if not (isinstance(tracked, int) and isinstance(lost, int)):
         return
     total = str(values["frames"] or "").partition("/")[2] or frames.get("total")
-    values |= {"frames": f"{tracked}/{total}", "weak": frames.get("weak"), "lost": lost}
+    values |= {"frames": f"{tracked}/{total}", "lost": lost} | {
+        state: frames.get(state) for state in ("weak", "predicted")
+    }
     if lost:
         values["status"] = f"{values['status']}, {lost} frames lost"

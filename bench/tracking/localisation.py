@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -10,8 +11,9 @@ from bench.geometry import se3
 from bench.tracking.descriptors import Ints
 from bench.tracking.local_map import LocalMap, View
 from bench.tracking.matching import match_boxes
-from bench.tracking.pose_optimization import Observations, PoseEstimate, optimise_pose
+from bench.tracking.pose_optimization import Observations, PoseEstimate, chi_square, optimise_pose
 from bench.tracking.relocalise import match_descriptors, pose_by_pnp
+from bench.tracking.second_motion import SecondMotion
 from bench.types import Float, Mask, StereoCamera
 
 _WIDE_RADIUS, _NARROW_RADIUS = 12.0, 4.0
@@ -20,37 +22,50 @@ _WIDE_SEARCHES = 5
 _SETTLED_BASELINES, _SETTLED_DEG = 0.5, 1.0
 """After a search that moved the pose farther than this, near points were outside their radius: search again."""
 _PROVEN_FRAMES = 3
-"""Frames in which a map point must have agreed with the pose to be proven."""
+"""Frames in which a map point must have agreed with the pose to be proven ..."""
+_PROVEN_PX = 8.0
+"""... while the camera moved past it by so many pixels of its octave, three gates: what drives along with the camera
+would have left the gate by then ..."""
+_PROVEN_AT_REST_FRAMES = 10
+"""... or frames without that, for a camera at rest."""
 _LEAST_PROVEN = 10
 """Matches of proven points that are enough to begin with."""
-_PROVEN_WORTH = 5
-"""Inliers that a proven point is worth when two poses are compared."""
 _MAX_DISTANCE = 80
 _RATIO, _FALLBACK_RATIO = 0.85, 0.9
 _DOUBTFUL_SHARE = 0.8
 """Where fewer of the matches than this are inliers, the prediction may have been wrong: on repeated facades a wrong
 pose finds dozens of consistent matches (share 0.73 on a street, against 0.85 and more for right poses)."""
+_REASSIGNED = 3
+"""Rounds in which matches are given to the one or the other of two motions."""
 
 
 @dataclass(frozen=True)
 class Matches:
     """Rows of map points and keypoints (M,) that belong together, with the pose that they gave; ``proven`` (M,) are the
-    points that have stood still for some frames."""
+    points that have stood still for some frames. ``second`` is another motion that the image shows besides; the frames
+    before did not where it ``begins``."""
 
     rows: Ints
     keypoints: Ints
     estimate: PoseEstimate
     proven: Mask
+    second: PoseEstimate | None = None
+    begins: bool = False
 
     @property
     def count(self) -> int:
         """Number of inliers."""
         return int(self.estimate.inliers.sum())
 
-    @property
-    def evidence(self) -> int:
-        """Inliers, proven points counted several times: what to compare two poses by."""
-        return self.count + _PROVEN_WORTH * int((self.estimate.inliers & self.proven).sum())
+    def alone(self, other: Matches) -> tuple[int, int]:
+        """Proven points, and points, that agree with this pose and not with the other: what to compare two poses by.
+
+        Far points agree with both. Of the near ones those count that have stood still: a lorry's have not, however many
+        they are, and after a jump all of them agree with the new place.
+        """
+        mine, theirs = self.estimate.inliers, other.estimate.inliers
+        alone = ~np.isin(self.rows[mine], other.rows[theirs])
+        return int((alone & self.proven[mine]).sum()), int(alone.sum())
 
     @property
     def doubtful(self) -> bool:
@@ -67,21 +82,48 @@ class Localiser:
         self._octaves = octaves
         self._scale = scale
         self._min_inliers = min_inliers
+        self._second = SecondMotion(camera, local_map, min_inliers)
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return self._second.state()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from ``state``."""
+        self._second.restore(state)
 
     def locate(self, view: View, T_cam_world: Float, trusted: bool) -> Matches | None:
         """Pose around the prediction ``T_cam_world`` (4, 4), or from descriptors alone where that explains more of what
         is seen; None without enough inliers.
 
-        Descriptors are asked only if the prediction fails, is not ``trusted``, or its result is doubtful.
+        Descriptors are asked only if the prediction fails, is not ``trusted``, its result is doubtful, or something
+        moved by itself a few frames ago. What moves by itself then takes its matches out of the pose.
         """
         found = self._around(view, T_cam_world)
-        if found is not None and trusted and not found.doubtful:
+        if found is not None and trusted and not (found.doubtful or self._second.expected):
             return found
-        pose = self._pose_from_descriptors(view)
+        matched = match_descriptors(self._map.points.descriptor, view.features.descriptors, _FALLBACK_RATIO)
+        pose = self._pose_from_descriptors(view, *matched)
         other = None if pose is None else self._around(view, pose)
-        if found is None or (other is not None and other.evidence > found.evidence):
-            return other
-        return found
+        if found is None or (other is not None and other.alone(found) > found.alone(other)):
+            found = other
+        if found is None:
+            return None
+        believed, begins = found.rows[found.estimate.inliers], not self._second.expected
+        second = self._second.find(view, matched, believed, found.estimate.T_cam_world)
+        if second is not None:
+            found = replace(self._without(view, found, second), second=second, begins=begins)
+        return found if found.count >= self._min_inliers else None
+
+    def _without(self, view: View, matches: Matches, second: PoseEstimate) -> Matches:
+        """The matches that the second motion does not explain better, with the pose that they give."""
+        position, observed = self._map.points.position[matches.rows], view.observations(matches.keypoints)
+        theirs = chi_square(self._camera, position, observed, second.T_cam_world)
+        estimate = matches.estimate
+        for _ in range(_REASSIGNED):
+            mine = chi_square(self._camera, position, observed, estimate.T_cam_world) <= theirs
+            estimate = self._optimised(position[mine], observed.take(mine), matches.proven[mine], estimate.T_cam_world)
+        return Matches(matches.rows[mine], matches.keypoints[mine], estimate, matches.proven[mine])
 
     def _around(self, view: View, T_cam_world: Float) -> Matches | None:
         """Matches and pose around ``T_cam_world``, searched widely until the pose settles, then narrowly."""
@@ -117,9 +159,24 @@ class Localiser:
             uv[rows], reach, octave, disparity, descriptors, view.features, view.disparity, _MAX_DISTANCE, _RATIO
         )
         rows = rows[query]
-        proven = points.found[rows] >= _PROVEN_FRAMES
+        proven = self._proven(rows, T, octave[query])
         estimate = self._optimised(points.position[rows], view.observations(keypoint), proven, T)
         return Matches(rows, keypoint, estimate, proven)
+
+    def _proven(self, rows: Ints, T: Float, octave: Float) -> Mask:
+        """Which map points (M,) have stood still for so long that nothing that moves could have passed for them."""
+        points = self._map.points
+        found = points.found[rows]
+        proven = found >= _PROVEN_AT_REST_FRAMES
+        asked = np.flatnonzero((found >= _PROVEN_FRAMES) & ~proven)
+        position = points.position[rows[asked]]
+        then = position - self._map.poses[points.born[rows[asked]], :3, 3]
+        now = position + T[:3, :3].T @ T[:3, 3]
+        sine = np.linalg.norm(np.cross(then, now), axis=1)
+        sine /= np.linalg.norm(then, axis=1) * np.linalg.norm(now, axis=1)
+        scale = self._scale ** np.clip(octave[asked], 0, self._octaves - 1)
+        proven[asked] = self._camera.fx * sine >= _PROVEN_PX * scale
+        return proven
 
     def _optimised(self, position: Float, observed: Observations, proven: Mask, T: Float) -> PoseEstimate:
         """Pose from matches; points that have stood still for some frames say which of the others may join in.
@@ -131,8 +188,7 @@ class Localiser:
         first = optimise_pose(self._camera, position[proven], observed.take(proven), T)
         return optimise_pose(self._camera, position, observed, first.T_cam_world, gate_first=True)
 
-    def _pose_from_descriptors(self, view: View) -> Float | None:
-        row, keypoint = match_descriptors(self._map.points.descriptor, view.features.descriptors, _FALLBACK_RATIO)
+    def _pose_from_descriptors(self, view: View, row: Ints, keypoint: Ints) -> Float | None:
         position = self._map.points.position[row]
         pose = pose_by_pnp(self._camera, position, view.features.xy[keypoint])
         if pose is None:

@@ -44,11 +44,23 @@ class OdometrySettings:
 
 
 @dataclass(frozen=True)
+class TwoMotions:
+    """Two rigid motions of one image: points that agree with each, and how far the camera moved since the newest
+    keyframe as each has it, in metres. The first is believed."""
+
+    inliers: int
+    moved_m: float
+    other_inliers: int
+    other_moved_m: float
+
+
+@dataclass(frozen=True)
 class FramePose:
     """Result for one frame; ``T_world_cam`` is None when lost. ``keyframe`` and ``T_keyframe_cam`` let the pose follow
     later corrections of its reference keyframe; keyframe -1 = it hangs on none. "weak": located, but many matches
     disagree, or found again at ``recognised``, the keyframe whose place it is. Without an inlier a frame is lost, but
-    for the very first one, whose pose defines the world."""
+    for the very first one, whose pose defines the world. ``motions``: of a frame where something else than the world
+    begins to explain much of the image."""
 
     state: TrackingState
     T_world_cam: Float | None
@@ -58,6 +70,7 @@ class FramePose:
     rms_px: float
     landmarks: Ints
     recognised: int | None = None
+    motions: TwoMotions | None = None
 
 
 class StereoOdometry:
@@ -126,11 +139,13 @@ class StereoOdometry:
 
     def state(self) -> dict[str, Any]:
         """All that tracking goes on from, for a checkpoint."""
-        return {"map": self._map.state(), **to_state({name: getattr(self, f"_{name}") for name in _STATE})}
+        own = to_state({name: getattr(self, f"_{name}") for name in _STATE})
+        return {"map": self._map.state(), "localiser": self._localiser.state(), **own}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from ``state``."""
         self._map.restore(state["map"])
+        self._localiser.restore(state["localiser"])
         for name, value in from_state({name: state[name] for name in _STATE}).items():
             setattr(self, f"_{name}", value)
 
@@ -185,7 +200,7 @@ class StereoOdometry:
         landmarks = np.sort(self._map.points.ids[rows])
         self._map.points.visible[matches.rows] += 1
         self._map.points.found[rows] += 1
-        T_cam_world = matches.estimate.T_cam_world
+        T_cam_world, motions = matches.estimate.T_cam_world, self._motions(matches)
         if self._needs_keyframe(T_cam_world, matches.count):
             self._add_keyframe(view, T_cam_world, point_ids)
             self._adjust()
@@ -193,7 +208,16 @@ class StereoOdometry:
             T_cam_world = self._map.keyframes[-1].T_cam_world
         T_world_cam = se3.orthonormalise(se3.inverse(T_cam_world))
         state: TrackingState = "weak" if matches.doubtful else "ok"
-        return self._result(state, T_world_cam, landmarks, matches.count, matches.estimate.rms_px)
+        result = self._result(state, T_world_cam, landmarks, matches.count, matches.estimate.rms_px)
+        return replace(result, motions=motions)
+
+    def _motions(self, matches: Matches) -> TwoMotions | None:
+        if matches.second is None or not matches.begins:
+            return None
+        newest = self._map.keyframes[-1].T_cam_world
+        each = matches.estimate, matches.second
+        moved = [float(np.linalg.norm((newest @ se3.inverse(e.T_cam_world))[:3, 3])) for e in each]
+        return TwoMotions(matches.count, moved[0], int(matches.second.inliers.sum()), moved[1])
 
     def _needs_keyframe(self, T_cam_world: Float, inliers: int) -> bool:
         motion = self._map.keyframes[-1].T_cam_world @ se3.inverse(T_cam_world)

@@ -12,6 +12,9 @@ from bench.types import Float, Mask, StereoCamera
 
 _ROUNDS = 3
 _ITERATIONS = 4
+_NEAR_PLANE_M = 0.1
+_CHI2_MONO, _CHI2_STEREO = 5.991, 7.815
+"""95 % quantiles of chi-square: the gates of observations without and with disparity, as in the C++ core."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,10 @@ class Observations:
     def take(self, index: np.ndarray) -> Observations:
         """The observations at ``index`` (integers or booleans)."""
         return Observations(self.uv[index], self.disparity[index], self.weight[index])
+
+    def inliers(self, squared: Float) -> Mask:
+        """Which ``squared`` residuals (M,), of ``chi_square``, pass their gate."""
+        return squared <= np.where(np.isnan(self.disparity), _CHI2_MONO, _CHI2_STEREO)
 
 
 def camera_numbers(camera: StereoCamera) -> list[float]:
@@ -57,6 +64,17 @@ def pose_jacobian(J_point: Float, in_camera: Float) -> Float:
     J[:, :, :3] = J_point
     J[:, :, 3:] = np.cross(in_camera[:, None, :], J_point)
     return J
+
+
+def chi_square(camera: StereoCamera, points: Float, observed: Observations, T_cam_world: Float) -> Float:
+    """Weighted squared residuals (M,) of (uL, v, uR), the third left out without disparity, of ``points`` (M, 3) in the
+    world under a pose; infinite behind the camera."""
+    in_camera = points @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
+    z = np.where(in_camera[:, 2] > _NEAR_PLANE_M, in_camera[:, 2], np.nan)
+    uv = in_camera[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    e = observed.uv - uv
+    right = np.where(np.isnan(observed.disparity), 0.0, e[:, 0] - observed.disparity + camera.fx * camera.baseline / z)
+    return np.nan_to_num(observed.weight * ((e**2).sum(axis=1) + right**2), nan=np.inf)
 
 
 @dataclass(frozen=True)

@@ -87,14 +87,14 @@ class MonoGSTracker(Tracker):
         self._map = view
 
     def track(self, frame: StereoFrame) -> TrackingResult:
-        """Pose and exposure of this frame; "weak" where the map shows nothing of it."""
+        """Pose and exposure of this frame; "predicted" where the map shows nothing of it."""
         pose, exposure, sees = self._start_pose(), (0.0, 0.0), True
         if self._poses:
             pose, exposure, sees = self._align(frame, pose)
         self._numbers.append(frame.number)
         self._times.append(frame.timestamp)
         self._poses.append(pose)
-        return TrackingResult(pose, "ok" if sees else "weak", exposure=exposure)
+        return TrackingResult(pose, "ok" if sees else "predicted", exposure=exposure)
 
     def _align(self, frame: StereoFrame, pose: Float) -> tuple[Float, tuple[float, float], bool]:
         """Pose (4, 4) and exposure from ``pose`` on, and whether the render had anything to do with the frame."""

@@ -55,7 +55,7 @@ class PointSlamTracker(Tracker):
         self._view = view
 
     def track(self, frame: StereoFrame) -> TrackingResult:
-        """The pose of least loss; "weak" where no ray meets points, which leaves the guess of constant speed."""
+        """The pose of least loss; "predicted" where no ray meets points, which leaves the guess of constant speed."""
         events: tuple[Event, ...] = ()
         state: TrackingState = "ok"
         position = len(self._poses)
@@ -65,7 +65,7 @@ class PointSlamTracker(Tracker):
             events = (Event("warning", frame.number, {"text": _NO_TRUTH}),) if self._config.true_poses else ()
         if pose is None:
             pose, loss = self._search(frame)
-            state = "ok" if np.isfinite(loss) else "weak"
+            state = "ok" if np.isfinite(loss) else "predicted"
         self._poses.append(pose)
         self._numbers.append(frame.number)
         self._times.append(frame.timestamp)

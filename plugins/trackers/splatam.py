@@ -58,7 +58,7 @@ class SplatamTracker(Tracker):
     Each frame starts at constant velocity and takes ``iterations`` steps of Adam over quaternion and translation,
     anew for each frame, down the sums of the errors of depth and colour where the map is sure. The pose is the one that
     the step from the lowest loss led to. The first frame is the world. No frame is lost; one with no pixel to compare
-    stays at its prediction and is weak.
+    stays at its prediction and says so.
 
     It differs from the original in the rasterizer (see ``mapper=splatam``), and in that a pose from which no pixel can
     be compared is not the best one, although its sum is 0. Poses and their steps are in float64.
@@ -88,7 +88,7 @@ class SplatamTracker(Tracker):
         self._map = view
 
     def track(self, frame: StereoFrame) -> TrackingResult:
-        """The pose whose render is nearest to the frame; "weak" where no pixel could be compared."""
+        """The pose whose render is nearest to the frame; "predicted" where no pixel could be compared."""
         first = not len(self._numbers)
         pose, pixels = (IDENTITY, 0) if first else self._optimised(frame)
         T_world_cam = pose.T_world_cam
@@ -99,7 +99,7 @@ class SplatamTracker(Tracker):
             (self._T_world_cam, T_world_cam),
         ):
             column.append(row)
-        return TrackingResult(T_world_cam, "ok" if first or pixels else "weak", pixels)
+        return TrackingResult(T_world_cam, "ok" if first or pixels else "predicted", pixels)
 
     def trajectory(self) -> Trajectory:
         """Poses of all frames so far; they are never corrected."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -193,6 +193,8 @@ class StereoOrb(Tracker):
         pose, events = found.T_world_cam, []
         if found.recognised is not None:
             events.append(Event("relocalised", frame.number, {"to_frame": self._number_of(found.recognised)}))
+        if found.motions is not None:
+            events.append(Event("second_motion", frame.number, asdict(found.motions)))
         closure = self._closed_loop(frame.number)
         if closure is not None:
             events.append(self._event(closure))

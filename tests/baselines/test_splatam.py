@@ -183,7 +183,7 @@ def test_a_frame_without_known_depth_is_weak_and_stays_at_its_prediction() -> No
     assert tracker.track(frames[0]).state == "ok"
     blind = DepthMap(np.full((48, 64), np.nan, np.float32), "none")
     result = tracker.track(replace(frames[1], depth=blind))
-    assert (result.state, result.inliers) == ("weak", 0)
+    assert (result.state, result.inliers) == ("predicted", 0)
     np.testing.assert_array_equal(result.T_world_cam, np.eye(4))
 
 

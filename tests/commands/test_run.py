@@ -97,7 +97,7 @@ def test_form_of_the_metrics(finished_run: Finished) -> None:
     assert metrics["trajectory"]["rpe_pairs"] == 3
     assert metrics["trajectory"]["static_camera_ate_rmse_m"] > 0.1
     assert metrics["frames"] == {
-        **{"total": 4, "tracked": 4, "ok": 4, "weak": 0, "lost": 0, "lost_stretches": []},
+        **{"total": 4, "tracked": 4, "ok": 4, "weak": 0, "predicted": 0, "lost": 0, "lost_stretches": []},
         "mapped": metrics["views"]["train"]["n"],
     }
 
@@ -235,7 +235,7 @@ def test_a_stopped_run_says_interrupted_and_keeps_what_was_done(
     assert main(["table", str(folder)]) == 0
     assert main(["evaluate", str(folder)]) == 0
     assert read(folder / "metrics.json")["frames"] == {
-        **{"total": 4, "tracked": 2, "ok": 2, "weak": 0, "lost": 0, "lost_stretches": [], "mapped": 2}
+        **{"total": 4, "tracked": 2, "ok": 2, "weak": 0, "predicted": 0, "lost": 0, "lost_stretches": [], "mapped": 2}
     }
 
 

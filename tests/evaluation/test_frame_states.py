@@ -8,12 +8,12 @@ from bench.evaluation.frame_states import count_states, describe_stretches, stre
 
 
 def test_states_are_counted_and_lost_ones_found() -> None:
-    states = ["lost", "ok", "weak", "lost", "lost", "ok", "lost"]
+    states = ["lost", "ok", "weak", "lost", "lost", "predicted", "lost"]
     assert count_states([10, 12, 14, 16, 18, 20, 22], states) == {
-        **{"tracked": 3, "ok": 2, "weak": 1, "lost": 4},
+        **{"tracked": 3, "ok": 1, "weak": 1, "predicted": 1, "lost": 4},
         "lost_stretches": [[10, 10], [16, 18], [22, 22]],
     }
-    assert count_states([], []) == {"tracked": 0, "ok": 0, "weak": 0, "lost": 0, "lost_stretches": []}
+    assert count_states([], []) == {"tracked": 0, "ok": 0, "weak": 0, "predicted": 0, "lost": 0, "lost_stretches": []}
 
 
 def test_all_or_nothing_is_one_stretch_or_none() -> None:

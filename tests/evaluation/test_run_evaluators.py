@@ -35,7 +35,7 @@ from tests.evaluation.tiny_run import (
     write_tiny_run,
 )
 
-NONE_DONE = {"tracked": 0, "ok": 0, "weak": 0, "lost": 0, "lost_stretches": [], "mapped": 0}
+NONE_DONE = {"tracked": 0, "ok": 0, "weak": 0, "predicted": 0, "lost": 0, "lost_stretches": [], "mapped": 0}
 
 
 def psnr_of(*errors: int) -> float:
@@ -143,7 +143,16 @@ def test_metrics_are_those_that_the_run_was_made_with(tiny_run: Path) -> None:
     assert views["heldout"]["ssim"] < views["train"]["ssim"] < 1
     assert metrics["trajectory"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
     assert metrics["frames"] == {
-        **{"total": 5, "tracked": 4, "ok": 4, "weak": 0, "lost": 1, "lost_stretches": [[LOST, LOST]], "mapped": 3}
+        **{
+            "total": 5,
+            "tracked": 4,
+            "ok": 4,
+            "weak": 0,
+            "predicted": 0,
+            "lost": 1,
+            "lost_stretches": [[LOST, LOST]],
+            "mapped": 3,
+        }
     }
     assert metrics["map"] == {"gaussians": 1234}
     assert metrics["resources"]["peak_memory_gb"] == 0.5

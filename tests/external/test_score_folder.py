@@ -42,7 +42,16 @@ def test_scores_worked_out_by_hand(folder: Path, output: Path, capsys: pytest.Ca
     # The zigzag of 0.1 m is straight up and down, and hardly correlated with the way: alignment can't take it away.
     assert metrics["trajectory"]["ate_rmse_m"] == pytest.approx(0.1, rel=0.03)
     assert metrics["frames"] == {
-        **{"total": COUNT, "tracked": COUNT, "ok": COUNT, "weak": 0, "lost": 0, "lost_stretches": [], "mapped": 0}
+        **{
+            "total": COUNT,
+            "tracked": COUNT,
+            "ok": COUNT,
+            "weak": 0,
+            "predicted": 0,
+            "lost": 0,
+            "lost_stretches": [],
+            "mapped": 0,
+        }
     }
     printed = capsys.readouterr().out
     for line in (

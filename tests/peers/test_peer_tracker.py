@@ -106,7 +106,7 @@ def test_a_failure_costs_one_frame_and_the_next_map_is_put_at_constant_velocity(
     tracker = FakeTracker(timeout_s=limit_s, events={"12": event})
     results = drive(tracker, 5)
     # 1 m per frame: frame 12 would have been at 2 m, so the new map begins at 3 m.
-    assert states(results) == "ok ok lost weak ok"
+    assert states(results) == "ok ok lost predicted ok"
     assert z(results) == [0, 1, None, 3, 4]
     assert tracker.trajectory().numbers.tolist() == [10, 11, 13, 14]
     assert warnings(caplog) == [
@@ -148,7 +148,7 @@ def test_poses_that_are_no_poses_are_lost_frames_and_told_once(caplog: pytest.Lo
 
 def test_a_new_map_of_the_peer_begins_where_the_camera_must_be(caplog: pytest.LogCaptureFixture) -> None:
     results = drive(FakeTracker(events={"12": "lost", "13": "lost", "14": "new map"}), 6)
-    assert states(results) == "ok ok lost lost weak ok"
+    assert states(results) == "ok ok lost lost predicted ok"
     assert z(results) == [0, 1, None, None, 4, 5]
     assert warnings(caplog) == ["frame 14: fake began a new map, put at constant velocity"]
 

@@ -68,6 +68,8 @@ class OddTracker(GroundTruth):
             return TrackingResult(None, "lost")
         if self._odd.answer == "raise":
             raise RuntimeError("the tracker broke")
+        if self._odd.answer == "predicted":
+            return TrackingResult(result.T_world_cam, "predicted")
         bad = {"nan": np.full((4, 4), np.nan), "3x4": np.eye(4)[:3], "none": None}[self._odd.answer]
         return TrackingResult(bad, "ok")
 

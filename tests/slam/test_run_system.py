@@ -77,6 +77,16 @@ def test_a_lost_frame_is_neither_mapped_nor_rendered(tmp_path: Path) -> None:
     assert state_of(folder)[0] == "done"
 
 
+def test_a_predicted_frame_has_a_pose_and_is_no_keyframe(tmp_path: Path) -> None:
+    folder = run(tmp_path / "run", "mapper=spy_for_tests", "tracker=odd_for_tests", "tracker.answer=predicted").path
+    frames = pd.read_csv(folder / "frames.csv")
+    assert frames["state"].tolist() == ["ok", "predicted", "ok", "ok", "ok"]
+    assert not frames["is_keyframe"][1]
+    assert 1 not in [number for number, _ in spies.SpyMapper.seen]
+    assert len((folder / "trajectory_kitti.txt").read_text().splitlines()) == 5
+    assert Event("predicted", 1) in read_events(folder)
+
+
 def test_a_run_that_lost_all_frames_but_the_first_has_failed(tmp_path: Path) -> None:
     """The pose that the world begins at is no trajectory, and one view is no score."""
     with pytest.raises(BenchError, match=r"^Tracking was lost in 4 of 5 frames: there is no run\. See the images, the"):

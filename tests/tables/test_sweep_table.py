@@ -95,7 +95,9 @@ def test_the_command_orders_a_folder_by_its_settings(capsys: pytest.CaptureFixtu
 
 
 def test_weak_and_lost_frames_stand_beside_the_frames() -> None:
-    scores = metrics(1101, psnr_db=20.0) | {"frames": {"total": 1101, "tracked": 1099, "weak": 7, "lost": 2}}
+    scores = metrics(1101, psnr_db=20.0) | {
+        "frames": {"total": 1101, "tracked": 1099, "weak": 7, "predicted": 3, "lost": 2}
+    }
     text = text_of(runs_document([collect_row(make_run(Path("a"), config(), scores))]), "md", Path())
-    assert "| Status | Frames | Weak | Lost |" in text
-    assert "| done, 2 frames lost | 1099/1101 | 7 | 2 |" in text
+    assert "| Status | Frames | Weak | Predicted | Lost |" in text
+    assert "| done, 2 frames lost | 1099/1101 | 7 | 3 | 2 |" in text

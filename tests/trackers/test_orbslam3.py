@@ -173,7 +173,7 @@ def test_it_tracks_the_street(cache: Path, street: Kept) -> None:
 def test_it_survives_its_own_death(cache: Path, street: Kept, caplog: pytest.LogCaptureFixture) -> None:
     slam = tracker(features=1000)
     results = track(slam, street, kill_before=4)
-    assert states(results) == ["ok"] * 4 + ["lost", "weak"] + ["ok"] * 4
+    assert states(results) == ["ok"] * 4 + ["lost", "predicted"] + ["ok"] * 4
     truth = street.ground_truth()
     assert truth is not None
     # The street's car does 1 m per frame, so constant velocity puts the second map well.

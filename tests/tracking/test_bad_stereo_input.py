@@ -9,6 +9,7 @@ import pytest
 
 from bench.io.images import grey
 from bench.registry import lookup
+from bench.tracking.features import OrbExtractor
 from bench.tracking.odometry import StereoOdometry
 
 pytestmark = pytest.mark.slow
@@ -68,13 +69,17 @@ def test_right_image_black_after_a_while(drive: Any, odometry: Any) -> None:
             np.testing.assert_allclose(result.T_world_cam[:3, 3], drive.poses[i, :3, 3], atol=0.5)
 
 
-def test_lorry_that_hides_half_of_the_street(settings: Any, extractor: Any) -> None:
-    """In an image this small its points outnumber those of the street: the pose may follow it, but not silently."""
+def test_lorry_that_hides_half_of_the_street(settings: Any) -> None:
+    """In an image this small its points outnumber those of the street; both motions are told of, and ours is right."""
     plugin = lookup("dataset", "street")
-    config = plugin.config(name="street", frames=26, width=512, height=192, truck=True, truck_frames=(12, 20))
+    config = plugin.config(name="street", frames=40, width=640, height=192, truck=True)
     street = plugin.cls(config)
-    frames = [street.frame(i) for i in range(26)]
-    results = run(StereoOdometry(street.camera, settings, extractor), [(grey(f.left), grey(f.right)) for f in frames])
+    frames = [street.frame(i) for i in range(40)]
+    tracker = StereoOdometry(street.camera, settings, OrbExtractor(2000, fast_threshold=7))
+    results = run(tracker, [(grey(f.left), grey(f.right)) for f in frames])
     truth = street.ground_truth().T_world_cam[:, :3, 3]
-    far = [i for i, r in enumerate(results) if r.state == "ok" and np.abs(r.T_world_cam[:3, 3] - truth[i]).max() > 1.0]
-    assert not far or set(states(results)[: far[0] + 1]) & set("wl")
+    far = [np.linalg.norm(r.T_world_cam[:3, 3] - truth[i]) for i, r in enumerate(results) if r.state == "ok"]
+    assert max(far) <= 0.3
+    told = [r.motions for r in results if r.motions is not None]
+    # It drives along: by its points the camera moves a few centimetres a frame, by the street's a metre.
+    assert any(m.moved_m > 0.8 and m.other_moved_m < 0.4 and m.other_inliers > 80 for m in told)

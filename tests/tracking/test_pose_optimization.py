@@ -8,6 +8,7 @@ import pytest
 from bench.geometry import se3
 from bench.tracking.pose_optimization import (
     Observations,
+    chi_square,
     optimise_pose,
     pose_jacobian,
     projection_jacobian,
@@ -53,6 +54,18 @@ def test_pose_jacobian_equals_central_differences() -> None:
     numeric = np.stack([(moved(step * e) - moved(-step * e)) / (2 * step) for e in np.eye(6)], 2)
     J = pose_jacobian(projection_jacobian(CAMERA, points, np.ones(40, bool)), points)
     np.testing.assert_allclose(J, numeric, rtol=1e-5, atol=1e-5)
+
+
+def test_chi_square_is_that_of_a_text_book() -> None:
+    points, T = points_in_front(40), se3.exp([0.1, -0.05, 0.2, 0.01, 0.02, -0.01])
+    seen = observe(points, np.eye(4), noise=1.0)
+    observed = Observations(seen.uv, np.where(np.arange(40) < 20, np.nan, seen.disparity), np.linspace(0.2, 1, 40))
+    error = np.column_stack([seen.uv, seen.uv[:, 0] - seen.disparity]) - project(points @ T[:3, :3].T + T[:3, 3])
+    error[:20, 2] = 0
+    squared = chi_square(CAMERA, points, observed, T)
+    np.testing.assert_allclose(squared, observed.weight * (error**2).sum(axis=1))
+    np.testing.assert_array_equal(observed.inliers(squared), squared <= np.where(np.arange(40) < 20, 5.991, 7.815))
+    assert chi_square(CAMERA, -points[:1], seen.take(np.array([0])), T) == np.inf
 
 
 def test_observations_without_disparity_have_no_third_row() -> None:

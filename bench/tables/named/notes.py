@@ -142,13 +142,15 @@ def _parts(filled: FilledTable) -> list[str]:
 
 
 def _weak_or_lost(filled: FilledTable) -> list[str]:
-    """Of which runs frames were tracked badly or not at all, or that it was none."""
+    """Of which runs frames were tracked weakly, by prediction alone or not at all, or that it was none."""
     found, known = [], False
     for where, run in _shown_runs(filled):
-        weak, lost = (run.part("frames").get(state) for state in ("weak", "lost"))
-        if isinstance(weak, int) and isinstance(lost, int):
+        frames = run.part("frames")
+        count = {state: n for state in ("weak", "predicted", "lost") if isinstance(n := frames.get(state), int)}
+        if "weak" in count and "lost" in count:
             known = True
-            found += [f"{where}: {weak} weak, {lost} lost of {run.frames}"] if weak or lost else []
+            words = ", ".join(f"{n} {state}" for state, n in count.items() if n or state != "predicted")
+            found += [f"{where}: {words} of {run.frames}"] if any(count.values()) else []
     if not known:
         return []
     return [f"Frames that were tracked weakly, or lost: {'; '.join(found) or 'none'}."]
