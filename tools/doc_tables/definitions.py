@@ -164,6 +164,44 @@ def _circuits(kept: Path, folder: Path) -> str:
     return f"{run_table(columns, [[run] for run in runs])}\n\n{mean}{made_by(runs, file, folder)}"
 
 
+_STREETS = {
+    "as it is": "dataset.texture=1 dataset.light=1 dataset.shutter=0",
+    "plain": "dataset.texture=0.1",
+    "dark": "dataset.light=0.1",
+    "blurred": "dataset.shutter=0.5",
+}
+
+
+def _found(of_row: Runs) -> str:
+    """Numbers of frames by state; of a run that came to nothing, why."""
+    return figures("{:.0f} / {:.0f} / {:.0f}", "frames.ok", "frames.weak", "frames.lost")(of_row) or "; ".join(
+        run.reason.partition(":")[0] for run in of_row
+    )
+
+
+_FEATURES = (
+    RunColumn("frames ok / weak / lost", _found),
+    RunColumn("ATE [m]", figures("{:.3f}", "trajectory.ate_rmse_m")),
+    RunColumn("RPE [mm]", figures("{:.1f}", "trajectory.rpe_trans_rmse_m", scale=1e3)),
+    RunColumn("ms per frame", figures("{:.0f}", "resources.tracking_s_per_frame", scale=1e3)),
+)
+
+
+def _features(kept: Path, folder: Path) -> str:
+    """ORB and XFeat on every kind of street: how many frames were found, how well, and in what time."""
+    file = kept / f"features{SUFFIX}"
+    runs = read_kept(file)
+    rows = {
+        f"{overrides} tracker.features={features}": (street, features)
+        for street, overrides in _STREETS.items()
+        for features in ("orb", "xfeat")
+    }
+    found = by_settings(runs, list(rows))
+    lines = [[*rows[row], *(column.text(members) for column in _FEATURES)] for row, members in found.items()]
+    table = text_table(["street", "features", *(column.heading for column in _FEATURES)], lines)
+    return f"{table}\n\n{made_by(runs, file, folder)}"
+
+
 def _street(run: RunRecord) -> int:
     return int(run.config["dataset"]["seed"])
 
@@ -311,6 +349,7 @@ BLOCKS = {
     "performance": Block((performance.FILE,), _performance),
     "gpu": Block((), gpu_table),
     "trackers": Block((f"trackers{SUFFIX}",), _trackers),
+    "features": Block((f"features{SUFFIX}",), _features),
     "circuits": Block((f"circuits{SUFFIX}",), _circuits),
     "stereo": Block(("stereo_kitti06.csv",), _stereo),
     "ablation": Block((f"ablation{SUFFIX}",), _of_table("ablation")),
