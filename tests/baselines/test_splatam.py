@@ -176,7 +176,7 @@ def test_a_frame_that_fits_badly_gets_as_many_steps_again(retry_loss: float, ste
     assert len(view.asked) == steps
 
 
-def test_a_frame_without_known_depth_is_weak_and_stays_at_its_prediction() -> None:
+def test_a_frame_without_known_depth_stays_at_its_prediction() -> None:
     mapper = mapper_of()
     tracker, frames = tracker_of(mapper.view()), [keyframe.frame for keyframe in street()[1]]
     mapper.add_keyframe(street()[1][0], [0])
