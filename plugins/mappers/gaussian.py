@@ -292,8 +292,10 @@ class GaussianMapper(Mapper):
         """One iteration of the last optimisation of some keyframes, with the second seeding at its time."""
         if last.done == last.first_fine and last.seeds:
             self._prune()
+            release_free_memory()  # the map grows by as much again; it would not fit between what is in use
             for number in last.numbers:
                 self._seed(number, refine=True)
+            release_free_memory()
         step = f"last optimisation, iteration {last.done + 1} of {last.steps}"
         number, half = last.next(self._random)
         try:

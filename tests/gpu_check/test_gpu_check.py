@@ -240,8 +240,8 @@ def test_tests_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """By reports as pytest gives them: two phases of a test that passes, one skipped in its set-up, one that fails."""
 
     def ended(arguments: list[str], plugins: list[marked_tests._Counts]) -> int:
-        marked = [f"tests/rasterizers/test_{name}.py" for name in ("gsplat_rasterizer", "off_the_cpu")]
-        assert arguments[-4:] == ["-m", "cuda", *marked]
+        marked = ("rasterizers/test_gsplat_rasterizer", "rasterizers/test_off_the_cpu", "tracking/test_xfeat")
+        assert arguments[-5:] == ["-m", "cuda", *(f"tests/{name}.py" for name in marked)]
         for when, outcome in (("setup", "passed"), ("call", "passed"), ("setup", "skipped"), ("call", "failed")):
             plugins[0].pytest_runtest_logreport(
                 pytest.TestReport(f"t::{when}", ("t", 1, "t"), {}, outcome, None, when)  # type: ignore[arg-type]
