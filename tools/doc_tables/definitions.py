@@ -353,6 +353,7 @@ BLOCKS = {
     "circuits": Block((f"circuits{SUFFIX}",), _circuits),
     "stereo": Block(("stereo_kitti06.csv",), _stereo),
     "ablation": Block((f"ablation{SUFFIX}",), _of_table("ablation")),
+    "mixed": Block((f"mixed{SUFFIX}",), _of_table("mixed")),
     "unseen": Block((f"unseen{SUFFIX}", "unseen.csv"), _unseen),
     "readings": Block((f"readings{SUFFIX}",), _of_table("readings")),
     "backbones": Block((f"backbones{SUFFIX}",), _of_table("backbones")),
