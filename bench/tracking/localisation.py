@@ -69,8 +69,9 @@ class Matches:
 
     @property
     def doubtful(self) -> bool:
-        """Whether so many matches contradict the pose that it may be another place that looks alike."""
-        return self.count < _DOUBTFUL_SHARE * len(self.rows)
+        """Whether so many matches contradict the pose that it may be another place that looks alike, or the image shows
+        two motions, of which the wrong one may be believed."""
+        return self.second is not None or self.count < _DOUBTFUL_SHARE * len(self.rows)
 
 
 class Localiser:
@@ -97,23 +98,38 @@ class Localiser:
         is seen; None without enough inliers.
 
         Descriptors are asked only if the prediction fails, is not ``trusted``, its result is doubtful, or something
-        moved by itself a few frames ago. What moves by itself then takes its matches out of the pose.
+        moved by itself a few frames ago. Then a pose close to the prediction comes first, none is taken that goes on as
+        the other motion did, and what moves by itself takes its matches out of the pose.
         """
-        found = self._around(view, T_cam_world)
+        found = self._as_predicted(view, T_cam_world) if self._second.expected else None
+        found = found or self._around(view, T_cam_world)
         if found is not None and trusted and not (found.doubtful or self._second.expected):
             return found
         matched = match_descriptors(self._map.points.descriptor, view.features.descriptors, _FALLBACK_RATIO)
         pose = self._pose_from_descriptors(view, *matched)
         other = None if pose is None else self._around(view, pose)
-        if found is None or (other is not None and other.alone(found) > found.alone(other)):
+        if other is not None and self.drives(other.estimate.T_cam_world, T_cam_world):
+            other = None
+        if found is None or (other is not None and self._beats(other, found)):
             found = other
         if found is None:
+            self._second.fade()
             return None
         believed, begins = found.rows[found.estimate.inliers], not self._second.expected
         second = self._second.find(view, matched, believed, found.estimate.T_cam_world)
         if second is not None:
             found = replace(self._without(view, found, second), second=second, begins=begins)
         return found if found.count >= self._min_inliers else None
+
+    def drives(self, T_cam_world: Float, T_predicted: Float) -> bool:
+        """Whether a pose (4, 4) goes on as what moved by itself a few frames ago, rather than as predicted."""
+        return self._second.drives(T_cam_world, T_predicted)
+
+    def _beats(self, other: Matches, found: Matches) -> bool:
+        """Whether ``other``, of descriptors alone, is the better pose; where something moves by itself and little has
+        stood still for long, it must also agree with more."""
+        theirs, mine = other.alone(found), found.alone(other)
+        return theirs > mine and (not self._second.expected or (theirs[0] > mine[0] and theirs[1] > mine[1]))
 
     def _without(self, view: View, matches: Matches, second: PoseEstimate) -> Matches:
         """The matches that the second motion does not explain better, with the pose that they give."""
@@ -124,6 +140,15 @@ class Localiser:
             mine = chi_square(self._camera, position, observed, estimate.T_cam_world) <= theirs
             estimate = self._optimised(position[mine], observed.take(mine), matches.proven[mine], estimate.T_cam_world)
         return Matches(matches.rows[mine], matches.keypoints[mine], estimate, matches.proven[mine])
+
+    def _as_predicted(self, view: View, T_cam_world: Float) -> Matches | None:
+        """Matches and pose close to ``T_cam_world``; None where a pose with enough inliers isn't there."""
+        matches = self._match(view, T_cam_world, _NARROW_RADIUS)
+        pose = matches.estimate.T_cam_world
+        if matches.count < self._min_inliers or not self._settled(T_cam_world, pose):
+            return None
+        again = self._match(view, pose, _NARROW_RADIUS)
+        return again if again.count >= self._min_inliers else None
 
     def _around(self, view: View, T_cam_world: Float) -> Matches | None:
         """Matches and pose around ``T_cam_world``, searched widely until the pose settles, then narrowly."""
@@ -181,11 +206,13 @@ class Localiser:
     def _optimised(self, position: Float, observed: Observations, proven: Mask, T: Float) -> PoseEstimate:
         """Pose from matches; points that have stood still for some frames say which of the others may join in.
 
-        A lorry alongside can fill more of the image than the street does, and its points agree with each other.
+        A lorry alongside can fill more of the image than the street does, and its points agree with each other. Where
+        something moved by itself a few frames ago, they must agree with ``T`` to begin with.
         """
+        careful = self._second.expected
         if proven.sum() < _LEAST_PROVEN:
-            return optimise_pose(self._camera, position, observed, T)
-        first = optimise_pose(self._camera, position[proven], observed.take(proven), T)
+            return optimise_pose(self._camera, position, observed, T, gate_first=careful)
+        first = optimise_pose(self._camera, position[proven], observed.take(proven), T, gate_first=careful)
         return optimise_pose(self._camera, position, observed, first.T_cam_world, gate_first=True)
 
     def _pose_from_descriptors(self, view: View, row: Ints, keypoint: Ints) -> Float | None:

@@ -58,9 +58,9 @@ class TwoMotions:
 class FramePose:
     """Result for one frame; ``T_world_cam`` is None when lost. ``keyframe`` and ``T_keyframe_cam`` let the pose follow
     later corrections of its reference keyframe; keyframe -1 = it hangs on none. "weak": located, but many matches
-    disagree, or found again at ``recognised``, the keyframe whose place it is. Without an inlier a frame is lost, but
-    for the very first one, whose pose defines the world. ``motions``: of a frame where something else than the world
-    begins to explain much of the image."""
+    disagree or show a second motion; or found again at ``recognised``, the keyframe whose place it is. Without inlier
+    a frame is lost, but for the very first one, whose pose defines the world. ``motions``: of a frame where something
+    else than the world begins to explain much of the image."""
 
     state: TrackingState
     T_world_cam: Float | None
@@ -243,8 +243,11 @@ class StereoOdometry:
         if place is None or np.isfinite(view.disparity).sum() < self._set.min_new_map_points:
             return self._bridge(view, predicted)
         keyframe, T_keyframe_cam = place
+        T_world_cam = self._map.poses[keyframe] @ T_keyframe_cam
+        if self._map.keyframes and self._localiser.drives(se3.inverse(T_world_cam), se3.inverse(predicted)):
+            return self._bridge(view, predicted)
         self._map.restart()
-        result = self._begin(view, self._map.poses[keyframe] @ T_keyframe_cam)
+        result = self._begin(view, T_world_cam)
         self._failures = -1  # The new map gets as many attempts as the old one had.
         return replace(result, recognised=keyframe)
 

@@ -38,6 +38,18 @@ class SecondMotion:
         """Whether one was there a few frames ago."""
         return self._left > 0
 
+    def drives(self, T_cam_world: Float, T_predicted: Float) -> bool:
+        """Whether a pose goes on as the second motion did rather than as predicted (4, 4) for the camera."""
+        if not self.expected:
+            return False
+        second = self._step @ self._map.keyframes[-1].T_cam_world
+        far = [np.linalg.norm((T_cam_world @ se3.inverse(T))[:3, 3]) for T in (second, T_predicted)]
+        return bool(far[0] < far[1])
+
+    def fade(self) -> None:
+        """A frame in which none was seen."""
+        self._left = max(self._left - 1, 0)
+
     def state(self) -> dict[str, Any]:
         """For a checkpoint."""
         return to_state({"step": self._step, "left": self._left})
@@ -55,7 +67,7 @@ class SecondMotion:
         """
         found = self._largest(view, matched, believed, T_cam_world)
         if found is None or found.inliers.sum() < max(self._min_inliers, _LEAST_SHARE * len(believed)):
-            self._left = max(self._left - 1, 0)
+            self.fade()
             return None
         self._step = found.T_cam_world @ se3.inverse(self._map.keyframes[-1].T_cam_world)
         self._left = _LOOKED_FOR_FRAMES

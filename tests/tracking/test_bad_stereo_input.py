@@ -72,14 +72,16 @@ def test_right_image_black_after_a_while(drive: Any, odometry: Any) -> None:
 def test_lorry_that_hides_half_of_the_street(settings: Any) -> None:
     """In an image this small its points outnumber those of the street; both motions are told of, and ours is right."""
     plugin = lookup("dataset", "street")
-    config = plugin.config(name="street", frames=40, width=640, height=192, truck=True)
+    config = plugin.config(name="street", frames=30, width=640, height=192, seed=2, truck=True)
     street = plugin.cls(config)
-    frames = [street.frame(i) for i in range(40)]
+    frames = [street.frame(i) for i in range(30)]
     tracker = StereoOdometry(street.camera, settings, OrbExtractor(2000, fast_threshold=7))
     results = run(tracker, [(grey(f.left), grey(f.right)) for f in frames])
     truth = street.ground_truth().T_world_cam[:, :3, 3]
     far = [np.linalg.norm(r.T_world_cam[:3, 3] - truth[i]) for i, r in enumerate(results) if r.state == "ok"]
     assert max(far) <= 0.3
     told = [r.motions for r in results if r.motions is not None]
-    # It drives along: by its points the camera moves a few centimetres a frame, by the street's a metre.
-    assert any(m.moved_m > 0.8 and m.other_moved_m < 0.4 and m.other_inliers > 80 for m in told)
+    # It overtakes at twice our speed: by the street's points the camera moves a metre a frame, by the lorry's a metre
+    # backwards.
+    assert any(abs(m.moved_m - 1) < 0.2 and abs(m.other_moved_m - 1) < 0.1 and m.other_inliers > 80 for m in told)
+    assert any(r.state == "weak" for r in results)
