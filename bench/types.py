@@ -25,6 +25,8 @@ Mask = npt.NDArray[np.bool_]
 
 TrackingState = Literal["ok", "weak", "predicted", "lost"]
 """Of a frame: located by its image; located, but doubtful; a pose that no image confirmed; no pose at all."""
+UNCONFIRMED: tuple[TrackingState, ...] = ("predicted", "lost")
+"""States of frames that become no keyframe and are not mapped."""
 
 
 @dataclass(frozen=True)

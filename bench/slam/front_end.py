@@ -21,7 +21,7 @@ from bench.runs.folder import CHECKSUM_COLUMN
 from bench.slam.prefetch import prefetch
 from bench.slam.system import System
 from bench.tracking.pair_check import PairCheck
-from bench.types import Event, Float, Keyframe, StereoFrame, TrackingResult, Trajectory
+from bench.types import UNCONFIRMED, Event, Float, Keyframe, StereoFrame, TrackingResult, Trajectory
 
 TakeStates = Callable[[PairCheck], dict[str, Any] | None]
 """Asked after each frame: what a checkpoint there keeps of the front end, or None where none is due."""
@@ -81,7 +81,7 @@ def _frames(system: System, check: PairCheck, first: int) -> Generator[Seen, Non
         }
         events = (*told, *tracking.events)
         of_frame = (frame, tracking.T_world_cam, row)
-        if tracking.state in ("lost", "predicted") or row["heldout"]:
+        if tracking.state in UNCONFIRMED or row["heldout"]:
             yield Seen(*of_frame, events)
             continue
         decision = system.keyframer.update(frame, tracking)

@@ -35,7 +35,7 @@ from bench.slam.prefetch import in_background
 from bench.slam.progress import Progress
 from bench.slam.system import System, fingerprint_of
 from bench.tracking.pair_check import PairCheck
-from bench.types import Event
+from bench.types import UNCONFIRMED, Event
 
 log = logging.getLogger(__name__)
 
@@ -223,7 +223,7 @@ class _Run:
         done.seconds["stereo"] += row["stereo_s"]
         done.note(seen.events)
         state = row["state"]
-        if state in ("lost", "predicted") and not (done.rows and done.rows[-1]["state"] == state):
+        if state in UNCONFIRMED and not (done.rows and done.rows[-1]["state"] == state):
             done.note([Event(state, row["number"])])
         mapping_before, losses = done.seconds["mapping"], None
         if seen.keyframe is not None:
@@ -239,7 +239,7 @@ class _Run:
 
     def _require_tracked(self) -> None:
         """Raise ``BenchError`` where tracking never worked: the pose that the world begins at is no trajectory."""
-        tracked = sum(row["state"] not in ("lost", "predicted") for row in self.done.rows)
+        tracked = sum(row["state"] not in UNCONFIRMED for row in self.done.rows)
         if self.total <= 2 or tracked > 1:
             return
         why = "; ".join(self.done.warnings()) or "See the images, the calibration and log.txt."

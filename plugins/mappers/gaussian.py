@@ -292,7 +292,7 @@ class GaussianMapper(Mapper):
         """One iteration of the last optimisation of some keyframes, with the second seeding at its time."""
         if last.done == last.first_fine and last.seeds:
             self._prune()
-            release_free_memory()  # the map grows by as much again; it would not fit between what is in use
+            release_free_memory()  # the map grows to several times its size; that would not fit between what is in use
             for number in last.numbers:
                 self._seed(number, refine=True)
             release_free_memory()
